@@ -1,0 +1,207 @@
+//! Every parameter of the model in one table: name with unit, section of the study file, default, physical range, source.
+//!
+//! The name is the same string in the study file, in `parameters.csv` and on the command line.
+
+use std::ops::Index;
+
+/// Which table of the study file a parameter is written in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Section {
+    /// `[electrophysiology]`
+    Electrophysiology,
+    /// `[mechanics]`
+    Mechanics,
+    /// `[circulation]`
+    Circulation,
+    /// `[tracking]`
+    Tracking,
+}
+
+impl Section {
+    /// The key of the table in a study file.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Electrophysiology => "electrophysiology",
+            Self::Mechanics => "mechanics",
+            Self::Circulation => "circulation",
+            Self::Tracking => "tracking",
+        }
+    }
+}
+
+/// What is known of a parameter before any patient is looked at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ParameterSpec {
+    /// Name, with its unit last.
+    pub name: &'static str,
+    /// Unit, for people.
+    pub unit: &'static str,
+    /// Where it is written in a study file.
+    pub section: Section,
+    /// Value used where a study says nothing.
+    pub default: f64,
+    /// Smallest physical value (inclusive).
+    pub lower: f64,
+    /// Largest physical value (inclusive).
+    pub upper: f64,
+    /// What it is.
+    pub meaning: &'static str,
+    /// Where the default comes from.
+    pub source: &'static str,
+}
+
+macro_rules! parameter_table {
+    ($($variant:ident: $section:ident $name:literal [$unit:literal] = $default:literal in $lower:literal..$upper:literal, $meaning:literal, $source:literal;)*) => {
+        /// A parameter of the model.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub enum Parameter { $(#[doc = $meaning] $variant,)* }
+
+        impl Parameter {
+            /// All parameters, in the order of the table.
+            pub const ALL: &'static [Self] = &[$(Self::$variant),*];
+
+            /// What is known of this parameter.
+            pub fn spec(self) -> &'static ParameterSpec {
+                const SPECS: &[ParameterSpec] = &[$(ParameterSpec {
+                    name: $name, unit: $unit, section: Section::$section, default: $default,
+                    lower: $lower, upper: $upper, meaning: $meaning, source: $source,
+                }),*];
+                &SPECS[self as usize]
+            }
+        }
+    };
+}
+
+parameter_table! {
+    ConductionVelocity: Electrophysiology "conduction_velocity_mm_per_s" ["mm/s"] = 500.0 in 50.0..3000.0, "Conduction velocity v along the fibre.", "[Sermesant2012]: 0.3-0.7 m/s in human myocardium";
+    AnisotropyRatio: Electrophysiology "anisotropy_ratio" ["1"] = 0.16 in 0.01..1.0, "Ratio ρ of squared speeds across and along the fibre, D = diag(1, ρ, ρ).", "measured ratio of speeds 2.5-3";
+    EndocardialSpeedFactor: Electrophysiology "endocardial_speed_factor" ["1"] = 2.0 in 1.0..10.0, "Speed of the thin endocardial (Purkinje) layer relative to the bulk.", "Purkinje 2-4 m/s";
+    OnsetTime: Electrophysiology "onset_time_s" ["s"] = 0.02 in -0.5..1.0, "First depolarisation after the trigger (R wave).", "chosen: trigger on the R wave";
+    ActionPotentialDuration: Electrophysiology "action_potential_duration_s" ["s"] = 0.3 in 0.05..0.6, "Action potential duration APD.", "0.25-0.33 s";
+    HeartPeriod: Electrophysiology "heart_period_s" ["s"] = 0.8 in 0.25..2.5, "Heart period HP; a cine sequence sets it.", "75 beats a minute";
+    ContractionPeakLv: Mechanics "contraction_peak_lv_kpa" ["kPa"] = 90.0 in 0.0..1000.0, "Peak contraction σ0 of the left ventricle.", "[Billet2009] §6.2";
+    ContractionPeakRv: Mechanics "contraction_peak_rv_kpa" ["kPa"] = 70.0 in 0.0..1000.0, "Peak contraction σ0 of the right ventricle.", "[Billet2009] §6.2";
+    ContractionPeakScar: Mechanics "contraction_peak_scar_kpa" ["kPa"] = 60.0 in 0.0..1000.0, "Peak contraction σ0 of scar.", "[Billet2009] §6.2";
+    ContractionRate: Mechanics "contraction_rate_per_s" ["1/s"] = 10.0 in 0.5..100.0, "Contraction rate kATP.", "5-15 1/s";
+    RelaxationRate: Mechanics "relaxation_rate_per_s" ["1/s"] = 25.0 in 0.5..200.0, "Relaxation rate kRS.", "20-30 1/s";
+    FibreStiffness: Mechanics "fibre_stiffness_kpa" ["kPa"] = 30.0 in 0.1..2000.0, "Young's modulus E_f along the fibre.", "15-75 kPa";
+    TransverseStiffness: Mechanics "transverse_stiffness_kpa" ["kPa"] = 20.0 in 0.1..2000.0, "Young's modulus E_t across the fibre.", "5-60 kPa";
+    PoissonRatio: Mechanics "poisson_ratio" ["1"] = 0.4 in 0.0..0.49, "Poisson's ratio ν, along and across.", "0.4-0.45 with linear tetrahedra";
+    Density: Mechanics "density_kg_per_mm3" ["kg/mm³"] = 1.06e-6 in 1e-7..1e-5, "Mass density of the myocardium.", "1060 kg/m³";
+    DampingMass: Mechanics "damping_mass_per_s" ["1/s"] = 10.0 in 0.0..1000.0, "Rayleigh damping α on the mass.", "chosen";
+    DampingStiffness: Mechanics "damping_stiffness_s" ["s"] = 0.01 in 0.0..0.2, "Rayleigh damping β on the stiffness.", "0.005-0.02 s";
+    BaseStiffnessNormal: Mechanics "base_stiffness_normal_kpa_per_mm" ["kPa/mm"] = 2.5 in 0.0..1000.0, "Base springs along the normal.", "[Hirschvogel2017]";
+    BaseStiffnessIsotropic: Mechanics "base_stiffness_isotropic_kpa_per_mm" ["kPa/mm"] = 2.5 in 0.0..1000.0, "Base springs in all directions; stiffer than published because linear kinematics need it.", "[Hirschvogel2017] 0.25";
+    PericardiumStiffness: Mechanics "pericardium_stiffness_kpa_per_mm" ["kPa/mm"] = 0.0 in 0.0..1000.0, "Pericardial springs along the epicardial normal.", "off; [Hirschvogel2017] 0.075";
+    PericardiumDamping: Mechanics "pericardium_damping_kpa_s_per_mm" ["kPa·s/mm"] = 0.005 in 0.0..100.0, "Pericardial dashpots along the epicardial normal.", "[Hirschvogel2017]";
+    ResistanceSystemic: Circulation "resistance_systemic_kpa_s_per_ml" ["kPa·s/mL"] = 0.13 in 0.001..2.0, "Peripheral resistance R of the systemic circulation.", "0.12-0.15";
+    ImpedanceSystemic: Circulation "impedance_systemic_kpa_s_per_ml" ["kPa·s/mL"] = 0.008 in 0.0..0.2, "Characteristic impedance Z of the aorta.", "0.006-0.013";
+    ComplianceSystemic: Circulation "compliance_systemic_ml_per_kpa" ["mL/kPa"] = 10.0 in 0.1..200.0, "Compliance C of the systemic arteries.", "8.6-12";
+    VenousPressureSystemic: Circulation "venous_pressure_systemic_kpa" ["kPa"] = 0.5 in 0.0..5.0, "Pressure behind the systemic resistance.", "RA 0-5 mmHg";
+    InitialPressureAorta: Circulation "initial_pressure_aorta_kpa" ["kPa"] = 10.0 in 0.0..30.0, "Aortic pressure p_C at the start of the first beat.", "[Hirschvogel2017] 9.68";
+    ResistancePulmonary: Circulation "resistance_pulmonary_kpa_s_per_ml" ["kPa·s/mL"] = 0.015 in 0.0005..0.5, "Resistance R of the pulmonary circulation.", "[Hirschvogel2017]";
+    ImpedancePulmonary: Circulation "impedance_pulmonary_kpa_s_per_ml" ["kPa·s/mL"] = 0.0015 in 0.0..0.05, "Characteristic impedance Z of the pulmonary artery.", "0.001-0.002";
+    CompliancePulmonary: Circulation "compliance_pulmonary_ml_per_kpa" ["mL/kPa"] = 30.0 in 0.5..500.0, "Compliance C of the pulmonary arteries.", "20-110";
+    VenousPressurePulmonary: Circulation "venous_pressure_pulmonary_kpa" ["kPa"] = 1.0 in 0.0..5.0, "Pressure behind the pulmonary resistance.", "LA 4-12 mmHg";
+    InitialPressurePulmonary: Circulation "initial_pressure_pulmonary_kpa" ["kPa"] = 2.0 in 0.0..20.0, "Pulmonary-artery pressure p_C at the start of the first beat.", "PA 8-15 mmHg diastolic";
+    AtrialPressureLeft: Circulation "atrial_pressure_left_kpa" ["kPa"] = 1.0 in 0.0..6.0, "Left atrial pressure outside the kick.", "LA 4-12 mmHg";
+    AtrialPressureRight: Circulation "atrial_pressure_right_kpa" ["kPa"] = 0.4 in 0.0..4.0, "Right atrial pressure outside the kick.", "RA 0-5 mmHg";
+    AtrialKickLeft: Circulation "atrial_kick_left_kpa" ["kPa"] = 0.5 in 0.0..4.0, "Height of the left atrial kick.", "chosen";
+    AtrialKickRight: Circulation "atrial_kick_right_kpa" ["kPa"] = 0.3 in 0.0..4.0, "Height of the right atrial kick.", "chosen";
+    AtrialKickDuration: Circulation "atrial_kick_duration_s" ["s"] = 0.12 in 0.01..0.4, "Duration of the atrial kick, which ends at the onset of the ventricles.", "about 0.1 s";
+    ValveResistance: Circulation "valve_resistance_kpa_s_per_ml" ["kPa·s/mL"] = 0.002 in 1e-6..0.1, "Resistance of an open valve.", "chosen: 1 kPa at 500 mL/s";
+    ImageGainEndocardiumLv: Tracking "image_gain_endocardium_lv_kpa_per_mm" ["kPa/mm"] = 1.0 in 0.0..1e4, "Image gain γ per area on the LV endocardium.", "chosen from held-out boundary points";
+    ImageGainEndocardiumRv: Tracking "image_gain_endocardium_rv_kpa_per_mm" ["kPa/mm"] = 1.0 in 0.0..1e4, "Image gain γ per area on the RV endocardium.", "chosen from held-out boundary points";
+    ImageGainEpicardium: Tracking "image_gain_epicardium_kpa_per_mm" ["kPa/mm"] = 1.0 in 0.0..1e4, "Image gain γ per area on the epicardium.", "chosen from held-out boundary points";
+    ImageGainBase: Tracking "image_gain_base_kpa_per_mm" ["kPa/mm"] = 1.0 in 0.0..1e4, "Gain per area of the block-matched base.", "chosen";
+}
+
+/// One value a parameter, always within its physical range.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parameters {
+    values: Vec<f64>,
+}
+
+/// A value outside the physical range of its parameter.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{name} = {value} is outside its physical range {lower} to {upper} {unit}")]
+pub struct OutOfRange {
+    /// Name of the parameter.
+    pub name: &'static str,
+    /// The value refused.
+    pub value: f64,
+    /// Smallest value.
+    pub lower: f64,
+    /// Largest value.
+    pub upper: f64,
+    /// Unit.
+    pub unit: &'static str,
+}
+
+impl Parameter {
+    /// The parameter with a name, if there is one.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.iter().copied().find(|parameter| parameter.spec().name == name)
+    }
+}
+
+impl Default for Parameters {
+    fn default() -> Self {
+        Self { values: Parameter::ALL.iter().map(|parameter| parameter.spec().default).collect() }
+    }
+}
+
+impl Parameters {
+    /// Sets a value.
+    ///
+    /// # Errors
+    /// [`OutOfRange`] if the value is not finite or outside the physical range.
+    pub fn set(&mut self, parameter: Parameter, value: f64) -> Result<(), OutOfRange> {
+        let &ParameterSpec { name, unit, lower, upper, .. } = parameter.spec();
+        if !(lower..=upper).contains(&value) {
+            return Err(OutOfRange { name, value, lower, upper, unit });
+        }
+        self.values[parameter as usize] = value;
+        Ok(())
+    }
+
+    /// These parameters with one value changed.
+    ///
+    /// # Errors
+    /// [`OutOfRange`] as for [`Parameters::set`].
+    pub fn with(mut self, parameter: Parameter, value: f64) -> Result<Self, OutOfRange> {
+        self.set(parameter, value)?;
+        Ok(self)
+    }
+}
+
+impl Index<Parameter> for Parameters {
+    type Output = f64;
+
+    fn index(&self, parameter: Parameter) -> &f64 {
+        &self.values[parameter as usize]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_default_lies_in_its_physical_range_and_names_are_unique() {
+        let mut names = std::collections::BTreeSet::new();
+        for &parameter in Parameter::ALL {
+            let spec = parameter.spec();
+            assert!((spec.lower..=spec.upper).contains(&spec.default), "{}", spec.name);
+            assert!(names.insert(spec.name), "{} stands twice", spec.name);
+            assert_eq!(Parameter::from_name(spec.name), Some(parameter));
+        }
+    }
+
+    #[test]
+    fn values_out_of_range_are_refused() {
+        let error = Parameters::default().with(Parameter::PoissonRatio, 0.5).unwrap_err();
+        assert_eq!(error.to_string(), "poisson_ratio = 0.5 is outside its physical range 0 to 0.49 1");
+        assert!(Parameters::default().with(Parameter::HeartPeriod, f64::NAN).is_err());
+    }
+}

@@ -1,0 +1,27 @@
+//! What can be wrong with an image.
+
+use std::path::PathBuf;
+
+/// An image that cannot be used, with the file or place and the remedy.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
+pub enum ImageError {
+    /// The file does not exist or cannot be opened.
+    #[error("cannot read image {path}: {reason}")]
+    Unreadable { path: PathBuf, reason: String },
+    /// The file was read but what it says cannot be used.
+    #[error("image {path} cannot be used: {reason}")]
+    Unusable { path: PathBuf, reason: String },
+    /// A value of an image is NaN or infinite.
+    #[error("voxel {voxel:?} of frame {frame} is not finite")]
+    NonFinite { frame: usize, voxel: [usize; 3] },
+    /// The number of values does not fit the shape.
+    #[error("the image has {value_count} values where its shape {shape:?} asks for {expected}")]
+    ValueCount { shape: [usize; 3], value_count: usize, expected: usize },
+    /// The affine map from voxels to world is singular or not finite.
+    #[error("the voxel-to-world matrix is singular or not finite; check the image's sform or qform")]
+    SingularAffine,
+    /// Frames, times or grids of a cine sequence contradict each other.
+    #[error("the cine sequence is inconsistent: {reason}")]
+    InconsistentCine { reason: String },
+}

@@ -1,0 +1,5 @@
+//! The `cardiotwin` binary.
+
+fn main() -> std::process::ExitCode {
+    cardiotwin::cli::main()
+}

@@ -1,0 +1,29 @@
+//! Active and visco-elastic mechanics of the myocardium, [Billet2009] §2; every force is a load on one step system.
+
+use nalgebra::{Matrix3, Vector3};
+
+/// Position and velocity of every vertex.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MotionState {
+    /// Positions y, mm.
+    pub position_mm: Vec<Vector3<f64>>,
+    /// Velocities, mm/s.
+    pub velocity_mm_per_s: Vec<Vector3<f64>>,
+}
+
+/// What is added to the step system K̃ Y = F: forces on the right, 3 × 3 blocks on the diagonal of the left, so that
+/// (K̃ + K_img) Y^{t+h} = F + F̃_img, [Billet2009] §4.2.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepSystem {
+    /// F a vertex, mN.
+    pub force_mn: Vec<Vector3<f64>>,
+    /// Diagonal blocks of K_img a vertex, kPa·mm (= mN/mm); zero where there is no load.
+    pub stiffness_mn_per_mm: Vec<Matrix3<f64>>,
+}
+
+/// A force that the data exert during one step. Implementations add to the system and never edit a state.
+pub trait StepLoad: Sync {
+    /// Adds this load's force and stiffness for the step from `time_s` to `time_s + step_s`. The unknown of the system is the
+    /// position at the end of the step, so a spring k (z − y) adds k z to the force and k to the stiffness.
+    fn add_to(&self, state: &MotionState, time_s: f64, step_s: f64, system: &mut StepSystem);
+}

@@ -1,0 +1,11 @@
+//! Tetrahedral meshes, their tagged surfaces and the cavities they enclose; knows no voxel.
+
+mod cavity;
+mod error;
+mod surface;
+mod tet_mesh;
+
+pub use cavity::Cavity;
+pub use error::MeshError;
+pub use surface::{SurfaceTag, TaggedSurface};
+pub use tet_mesh::TetMesh;

@@ -1,0 +1,1 @@
+//! Numerical ground floor: block-sparse matrices, factorisation, quadratic programs, statistics.

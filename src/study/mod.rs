@@ -1,0 +1,1 @@
+//! A study file as written, the plan it means, and the results found.
