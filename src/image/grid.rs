@@ -65,8 +65,19 @@ impl Grid {
     }
 
     /// Continuous voxel index of a world position (mm).
+    #[inline]
     pub fn to_voxel(&self, position_mm: &Vector3<f64>) -> Vector3<f64> {
-        (self.world_to_voxel * Vector4::new(position_mm.x, position_mm.y, position_mm.z, 1.0)).xyz()
+        let (m, p) = (&self.world_to_voxel, position_mm);
+        let row = |r: usize| m[(r, 0)] * p.x + m[(r, 1)] * p.y + m[(r, 2)] * p.z + m[(r, 3)];
+        Vector3::new(row(0), row(1), row(2))
+    }
+
+    /// Gradient per mm in world axes of a gradient per voxel index: Aᵀ g with A the linear part of the map from world to voxels.
+    #[inline]
+    pub fn index_gradient_to_world(&self, gradient: &Vector3<f64>) -> Vector3<f64> {
+        let (m, g) = (&self.world_to_voxel, gradient);
+        let column = |c: usize| m[(0, c)] * g.x + m[(1, c)] * g.y + m[(2, c)] * g.z;
+        Vector3::new(column(0), column(1), column(2))
     }
 
     /// The linear part of the map from world to voxels (3 × 3, 1/mm): gradients in world = its transpose times gradients in voxels.
