@@ -187,6 +187,7 @@ fn violation_kpa(open: OpenValves, pressure_kpa: f64, ports: &VentriclePorts) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::numerics::QuadraticProgram;
     use proptest::prelude::*;
 
     const RESISTANCE: f64 = 0.002;
@@ -263,6 +264,35 @@ mod tests {
                 ];
                 for (q, gap) in gaps {
                     prop_assert!(q >= -1e-5 && gap >= -1e-8 && (q * gap).abs() < 1e-6, "ventricle {v}: flow {q}, gap {gap}");
+                }
+            }
+        }
+
+        /// The same flows by an interior-point solver on the pressures-eliminated QP ½ qᵀMq + cᵀq, q ≥ 0.
+        #[test]
+        fn the_enumeration_and_the_quadratic_program_agree(
+            left in 200.0..3000.0f64, right in 200.0..5000.0f64, coupling in -0.9..0.9f64,
+            shut in prop::array::uniform2(-2.0..20.0f64), atria in prop::array::uniform2(0.0..3.0f64),
+            arteries in prop::array::uniform2(2.0..15.0f64), impedance in 1e-3..0.05f64,
+        ) {
+            let mixed = coupling * (left * right).sqrt();
+            let compliance = DMatrix::from_row_slice(2, 2, &[left, mixed, mixed, right]);
+            let response = CavityResponse { volume_mm3: DVector::repeat(2, 1e5), compliance_mm3_per_kpa: compliance.clone() };
+            let shut = DVector::from_column_slice(&shut);
+            let before = &response.volume_mm3 + &compliance * &shut;
+            let ports = [0, 1].map(|v| ports(atria[v], arteries[v], impedance));
+            let flows = ValveProblem::new(&response, before.as_slice(), &ports, RESISTANCE, STEP_S).unwrap().solve().unwrap();
+            let signs = DMatrix::from_row_slice(2, 4, &[1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0, -1.0]);
+            let resistances = DVector::from_fn(4, |row, _| RESISTANCE + if row % 2 == 0 { impedance } else { 0.0 });
+            let stiffness = signs.transpose() * compliance.try_inverse().unwrap() * &signs * (STEP_S * MM3_PER_ML);
+            let hessian = DMatrix::from_diagonal(&resistances) + (&stiffness + stiffness.transpose()) * 0.5;
+            let gradient = DVector::from_fn(4, |row, _| if row % 2 == 0 { arteries[row / 2] - shut[row / 2] } else { shut[row / 2] - atria[row / 2] });
+            let program = QuadraticProgram::new(hessian, gradient).unwrap();
+            let program = program.with_bounds(DVector::zeros(4), DVector::repeat(4, f64::INFINITY)).unwrap();
+            let solution = program.solve().unwrap().x;
+            for (v, flow) in flows.iter().enumerate() {
+                for (found, expected) in [(flow.outflow_ml_per_s, solution[2 * v]), (flow.inflow_ml_per_s, solution[2 * v + 1])] {
+                    prop_assert!((found - expected).abs() < 1e-5 * (1.0 + expected.abs()), "ventricle {v}: {found} against {expected} mL/s");
                 }
             }
         }
