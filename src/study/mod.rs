@@ -1,1 +1,16 @@
-//! A study file as written, the plan it means, and the results found.
+//! A study file as written, the plan it means, and what is known of a run while it runs and when it ends.
+
+mod config;
+mod error;
+mod outcome;
+pub mod plan;
+mod progress;
+mod provenance;
+mod reader;
+
+pub use config::{Config, Overrides};
+pub use error::{Problem, StudyError};
+pub use outcome::{Outcome, Status};
+pub use plan::{Kind, Plan};
+pub use progress::{Progress, RunContext, Silent};
+pub use provenance::Provenance;

@@ -1,0 +1,76 @@
+//! `[images]`: the cine sequence of a patient and how it is prepared, [Billet2009] §3.
+
+use std::path::PathBuf;
+
+use super::PhantomPlan;
+use crate::study::reader::TableReader;
+
+/// Where the images come from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ImageSource {
+    /// Read from a file.
+    Cine(ImagesPlan),
+    /// Made from a heart whose truth is known.
+    Phantom(PhantomPlan),
+}
+
+/// A cine sequence and how it is prepared. The heart period is the parameter `heart_period_s`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImagesPlan {
+    /// `cine`: 4D NIfTI.
+    pub cine: PathBuf,
+    /// `first_frame_s`: time of the first frame after the trigger (R wave).
+    pub first_frame_s: f64,
+    /// `frame_interval_s`: time from frame to frame; the heart period over the number of frames where absent.
+    pub frame_interval_s: Option<f64>,
+    /// `quantile_low`: intensities below this quantile of all frames become 0.
+    pub quantile_low: f64,
+    /// `quantile_high`: intensities above this quantile of all frames become 255.
+    pub quantile_high: f64,
+    /// `isotropic_spacing_mm`: voxel edge after resampling; the in-plane voxel edge where absent.
+    pub isotropic_spacing_mm: Option<f64>,
+    /// `[[images.validation]]`: labels that results are compared with and that nothing is fitted to.
+    pub validation: Vec<ReferenceLabels>,
+}
+
+/// Labels drawn by an expert on one frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReferenceLabels {
+    /// `labels`: the label map, NIfTI.
+    pub path: PathBuf,
+    /// `frame`: the frame it was drawn on, from 0.
+    pub frame: usize,
+    /// `code_cavity_lv`: blood of the left ventricle.
+    pub code_cavity_lv: u16,
+}
+
+pub(super) fn read(table: TableReader) -> Option<ImagesPlan> {
+    let validation = table.tables("validation").into_iter().map(read_labels).collect();
+    let plan = table.is_written().then(|| ImagesPlan {
+        cine: table.required_data_file("cine"),
+        first_frame_s: table.number("first_frame_s", -2.5..=2.5, 0.0),
+        frame_interval_s: table.optional_number("frame_interval_s", 0.001..=1.0),
+        quantile_low: table.number("quantile_low", 0.0..=0.5, 0.01),
+        quantile_high: table.number("quantile_high", 0.5..=1.0, 0.99),
+        isotropic_spacing_mm: table.optional_number("isotropic_spacing_mm", 0.2..=10.0),
+        validation,
+    });
+    if plan.as_ref().is_some_and(|plan| plan.quantile_low >= plan.quantile_high) {
+        table.problem("quantile_low", "is not below quantile_high", "choose quantile_low < quantile_high");
+    }
+    table.close();
+    plan
+}
+
+fn read_labels(table: TableReader) -> ReferenceLabels {
+    let labels = ReferenceLabels {
+        path: table.required_data_file("labels"),
+        frame: table.count("frame", 0..=100_000, 0),
+        code_cavity_lv: u16::try_from(table.count("code_cavity_lv", 1..=i64::from(u16::MAX), 1)).unwrap_or(u16::MAX),
+    };
+    if !table.has("frame") {
+        table.missing("frame", "the frame that the labels were drawn on, counted from 0");
+    }
+    table.close();
+    labels
+}

@@ -1,0 +1,210 @@
+//! A study as meant: every value present, in its range and in house units, every file found.
+
+mod anatomy;
+mod images;
+mod model;
+mod output;
+mod personalisation;
+mod phantom;
+mod tracking;
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+pub use anatomy::{AnatomyPlan, AnatomySource, FibrePlan, IdealisedLv, LabelCodes};
+pub use images::{ImageSource, ImagesPlan, ReferenceLabels};
+pub use model::{Kinematics, ModelPlan, OnsetPlan, OnsetSite};
+pub use output::OutputPlan;
+pub use personalisation::{FreeParameter, PersonalisationPlan, ScopeOfParameter, VolumeCurveSource};
+pub use phantom::{ModelAnatomy, PhantomPlan};
+pub use tracking::{BaseMode, ForceScheme, GainChoice, Similarity, TrackingPlan};
+
+use super::provenance::Provenance;
+use super::reader::{Choice, Reader, TableReader};
+use super::{Config, StudyError};
+use crate::heart::{Parameter, Parameters, Section};
+
+/// Defines an enum whose values are words of the study file.
+macro_rules! words {
+    ($(#[$doc:meta])* $name:ident { $($(#[$value_doc:meta])* $value:ident = $word:literal,)* }) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+        pub enum $name { $($(#[$value_doc])* #[serde(rename = $word)] $value,)* }
+
+        impl $crate::study::reader::Choice for $name {
+            const WORDS: &'static [(&'static str, Self)] = &[$(($word, Self::$value)),*];
+        }
+
+        impl $name {
+            /// The word of the study file.
+            pub fn word(self) -> &'static str {
+                match self { $(Self::$value => $word),* }
+            }
+        }
+    };
+}
+pub(super) use words;
+
+words! {
+    /// What a study does.
+    Kind {
+        /// The free heart: beats without data.
+        Simulate = "simulate",
+        /// The proactive heart follows images with fixed parameters, [Billet2009] §4–5.
+        Track = "track",
+        /// Tracks, then finds parameters from the motion.
+        Personalise = "personalise",
+    }
+}
+
+/// A study, ready to run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// What it does.
+    pub kind: Kind,
+    /// The heart at rest.
+    pub anatomy: AnatomyPlan,
+    /// The images it is compared with; none for a free heart.
+    pub images: Option<ImageSource>,
+    /// Every parameter of the model: as written, or its default.
+    pub parameters: Parameters,
+    /// The parameters that the study file writes.
+    pub written: BTreeSet<Parameter>,
+    /// Time stepping and onset.
+    pub model: ModelPlan,
+    /// How images pull on the heart.
+    pub tracking: TrackingPlan,
+    /// What is to be found; none unless the kind is [`Kind::Personalise`].
+    pub personalisation: Option<PersonalisationPlan>,
+    /// Where results go.
+    pub output: OutputPlan,
+    /// What was asked for, for the record.
+    pub provenance: Provenance,
+}
+
+impl Plan {
+    /// Validates a study file whole.
+    ///
+    /// # Errors
+    /// [`StudyError::Invalid`] with everything that is wrong.
+    pub fn new(config: &Config) -> Result<Self, StudyError> {
+        let reader = Reader::new(config);
+        let plan = read(config, &reader);
+        let problems = reader.into_problems();
+        match plan {
+            Some(plan) if problems.is_empty() => Ok(plan),
+            _ => Err(StudyError::Invalid { file: config.file().to_path_buf(), problems }),
+        }
+    }
+
+    /// Every file that the study reads.
+    pub fn input_files(&self) -> Vec<PathBuf> {
+        let mut files = Vec::new();
+        if let AnatomySource::Labels { path, .. } = &self.anatomy.source {
+            files.push(path.clone());
+        }
+        if let Some(ImageSource::Cine(images)) = &self.images {
+            files.push(images.cine.clone());
+            files.extend(images.validation.iter().map(|labels| labels.path.clone()));
+        }
+        files
+    }
+}
+
+/// Reads all tables; a plan may come out although there are problems, and is then thrown away.
+fn read(config: &Config, reader: &Reader) -> Option<Plan> {
+    let root = reader.root();
+    let kind = root.optional_choice::<Kind>("kind");
+    if !root.has("kind") {
+        root.missing("kind", &format!("one of {}", Kind::WORDS.iter().map(|(word, _)| *word).collect::<Vec<_>>().join(", ")));
+    }
+    let data = root.text("data");
+    if (data.is_some() || config.overrides.data.is_some()) && !config.data_folder().is_dir() {
+        let what = format!("names no folder: {} does not exist", config.data_folder().display());
+        root.problem("data", what, "give the folder of the data with --data DIR");
+    }
+    let mut parameters = Parameters::default();
+    let mut written = BTreeSet::new();
+
+    let anatomy = anatomy::read(root.table("anatomy"));
+    let phantom = phantom::read(root.table("phantom"));
+    let images = images::read(root.table("images"));
+    let model = model::read(&root, &mut parameters, &mut written);
+    let circulation = root.table(Section::Circulation.key());
+    circulation.parameters(Section::Circulation, &mut parameters, &mut written);
+    circulation.close();
+    let tracking = tracking::read(root.table("tracking"), &mut parameters, &mut written);
+    let personalisation = personalisation::read(root.table("personalisation"), &parameters);
+    let output = output::read(config, root.table("output"));
+
+    let images = images_of(&root, kind, &anatomy, images, phantom);
+    if let Some(ImageSource::Phantom(phantom)) = &images {
+        check_tolerances(&root, phantom, personalisation.as_ref());
+    }
+    match (kind, &personalisation) {
+        (Some(Kind::Personalise), None) => {
+            root.missing("personalisation", "[personalisation] with a [[personalisation.parameter]] for each free parameter")
+        }
+        (Some(Kind::Simulate | Kind::Track), Some(_)) => {
+            root.problem("personalisation", "is of no use here", "write kind = \"personalise\", or take the table away")
+        }
+        _ => {}
+    }
+    root.close();
+    Some(Plan {
+        kind: kind?,
+        anatomy,
+        images,
+        parameters,
+        written,
+        model,
+        tracking,
+        personalisation,
+        output,
+        provenance: Provenance::new(config),
+    })
+}
+
+/// Exactly one source of images for the kinds that need one.
+fn images_of(
+    root: &TableReader,
+    kind: Option<Kind>,
+    anatomy: &AnatomyPlan,
+    cine: Option<ImagesPlan>,
+    phantom: Option<PhantomPlan>,
+) -> Option<ImageSource> {
+    let is_idealised = matches!(anatomy.source, AnatomySource::IdealisedLv(_));
+    match (cine, phantom) {
+        (Some(_), Some(_)) => {
+            root.problem("phantom", "stands beside [images]", "images are either read ([images]) or made ([phantom]): take one away");
+            None
+        }
+        (None, Some(_)) if !is_idealised => {
+            root.problem("phantom", "needs an anatomy that is known exactly", "write [anatomy.idealised_lv] in place of labels");
+            None
+        }
+        (Some(_), None) if is_idealised => {
+            root.problem("images", "cannot show an idealised heart", "write labels in [anatomy], or [phantom] in place of [images]");
+            None
+        }
+        (Some(images), None) => Some(ImageSource::Cine(images)),
+        (None, Some(phantom)) => Some(ImageSource::Phantom(phantom)),
+        (None, None) if matches!(kind, Some(Kind::Track | Kind::Personalise)) => {
+            root.missing("images", "[images] with a cine, or [phantom] to make one");
+            None
+        }
+        (None, None) => None,
+    }
+}
+
+/// A tolerance is stated for a parameter that is found.
+fn check_tolerances(root: &TableReader, phantom: &PhantomPlan, personalisation: Option<&PersonalisationPlan>) {
+    let is_free = |parameter| personalisation.is_some_and(|plan| plan.parameters.iter().any(|free| free.parameter == parameter));
+    for (&parameter, _) in phantom.tolerances.iter().filter(|&(&parameter, _)| !is_free(parameter)) {
+        let key = format!("phantom.tolerance.{}", parameter.spec().name);
+        root.problem(&key, "is stated for a parameter that is not free", "add it as [[personalisation.parameter]], or take it away");
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,90 @@
+//! `[electrophysiology]` and `[mechanics]` beyond the parameters: onset, kinematics, time step and beats.
+
+use std::collections::BTreeSet;
+
+use nalgebra::Vector3;
+
+use super::words;
+use crate::heart::{Parameter, Parameters, Section};
+use crate::study::reader::TableReader;
+
+words! {
+    /// How strains follow from displacements.
+    Kinematics {
+        /// Linear strains, [Billet2009] §2.
+        Linear = "linear",
+    }
+}
+
+words! {
+    /// Where the first depolarisation takes place, at `onset_time_s`.
+    OnsetSite {
+        /// The LV endocardium of the septum.
+        Septum = "septum",
+        /// The whole LV endocardium.
+        Endocardium = "endocardium",
+        /// The vertices nearest to `[[electrophysiology.site]]`.
+        Sites = "sites",
+    }
+}
+
+/// Where and when depolarisation starts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OnsetPlan {
+    /// `onset`.
+    pub place: OnsetSite,
+    /// `[[electrophysiology.site]]`: `position_mm` (world, RAS) and `delay_s` after `onset_time_s`.
+    pub sites: Vec<(Vector3<f64>, f64)>,
+}
+
+/// How the model is run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ModelPlan {
+    /// Onset of depolarisation.
+    pub onset: OnsetPlan,
+    /// `mechanics.kinematics`.
+    pub kinematics: Kinematics,
+    /// `mechanics.step_s`: time step.
+    pub step_s: f64,
+    /// `mechanics.beats`: beats simulated from the time of the anatomy; results are of the last one.
+    pub beats: usize,
+}
+
+pub(super) fn read(root: &TableReader, parameters: &mut Parameters, written: &mut BTreeSet<Parameter>) -> ModelPlan {
+    let onset = read_onset(root.table(Section::Electrophysiology.key()), parameters, written);
+    let mechanics = root.table(Section::Mechanics.key());
+    mechanics.parameters(Section::Mechanics, parameters, written);
+    let plan = ModelPlan {
+        onset,
+        kinematics: mechanics.choice("kinematics", Kinematics::Linear),
+        step_s: mechanics.number("step_s", 1e-5..=0.05, 0.005),
+        beats: mechanics.count("beats", 1..=1000, 1),
+    };
+    mechanics.close();
+    plan
+}
+
+fn read_onset(table: TableReader, parameters: &mut Parameters, written: &mut BTreeSet<Parameter>) -> OnsetPlan {
+    table.parameters(Section::Electrophysiology, parameters, written);
+    let place = table.choice("onset", OnsetSite::Septum);
+    let sites: Vec<_> = table.tables("site").into_iter().map(read_site).collect();
+    match (place, sites.is_empty()) {
+        (OnsetSite::Sites, true) => table.missing("site", "[[electrophysiology.site]] with its position_mm"),
+        (OnsetSite::Septum | OnsetSite::Endocardium, false) => {
+            table.problem("site", "is of no use with this onset", "write onset = \"sites\", or take the sites away")
+        }
+        _ => {}
+    }
+    table.close();
+    OnsetPlan { place, sites }
+}
+
+fn read_site(table: TableReader) -> (Vector3<f64>, f64) {
+    let position_mm = table.vector("position_mm");
+    if !table.has("position_mm") {
+        table.missing("position_mm", "three numbers, [x, y, z], in world coordinates (RAS)");
+    }
+    let delay_s = table.number("delay_s", 0.0..=1.0, 0.0);
+    table.close();
+    (position_mm.unwrap_or_default(), delay_s)
+}

@@ -1,0 +1,37 @@
+//! `[output]`: where results go and how much of them.
+
+use std::path::PathBuf;
+
+use crate::study::Config;
+use crate::study::reader::TableReader;
+
+/// Where results go.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OutputPlan {
+    /// `directory`, from the folder of the study file; `-o` replaces it. A folder `results` beside the study file where absent.
+    pub directory: PathBuf,
+    /// `meshes`: whether the beating mesh is written (`heart.pvd` and its VTU files).
+    pub meshes: bool,
+    /// `figures`: whether figures are drawn.
+    pub figures: bool,
+    /// `montage_slices`: slices of the montage.
+    pub montage_slices: usize,
+    /// `montage_times`: times of the montage.
+    pub montage_times: usize,
+}
+
+pub(super) fn read(config: &Config, table: TableReader) -> OutputPlan {
+    let written = config.folder().join(table.text("directory").unwrap_or("results"));
+    let plan = OutputPlan {
+        directory: config.overrides.output.clone().unwrap_or(written),
+        meshes: table.flag("meshes", true),
+        figures: table.flag("figures", true),
+        montage_slices: table.count("montage_slices", 1..=12, 3),
+        montage_times: table.count("montage_times", 1..=12, 6),
+    };
+    if plan.directory.is_file() {
+        table.problem("directory", format!("names a file: {}", plan.directory.display()), "name a folder, or give one with -o DIR");
+    }
+    table.close();
+    plan
+}

@@ -1,0 +1,117 @@
+//! `[personalisation]`: which parameters are free, within what, and what they are fitted to.
+
+use super::words;
+use crate::heart::{Parameter, Parameters};
+use crate::study::reader::TableReader;
+
+words! {
+    /// Where the volume curve that is fitted comes from.
+    VolumeCurveSource {
+        /// The tracked motion.
+        Tracked = "tracked",
+        /// The images, by their blood pool.
+        Images = "images",
+    }
+}
+
+words! {
+    /// Which part of the heart a free parameter holds for.
+    ScopeOfParameter {
+        /// The whole heart.
+        Global = "global",
+        /// Each AHA segment on its own.
+        AhaSegments = "aha_segments",
+    }
+}
+
+/// A parameter to be found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FreeParameter {
+    /// `name`.
+    pub parameter: Parameter,
+    /// `scope`.
+    pub scope: ScopeOfParameter,
+    /// `lower`: smallest value; the physical one where absent.
+    pub lower: f64,
+    /// `upper`: largest value; the physical one where absent.
+    pub upper: f64,
+    /// `start`: start value; found from the data, or else the model's value, where absent.
+    pub start: Option<f64>,
+    /// `prior_mean`: centre of the prior; the model's value where absent.
+    pub prior_mean: f64,
+    /// `prior_sd`: its standard deviation, in the parameter's unit; no prior where absent.
+    pub prior_sd: Option<f64>,
+}
+
+/// What is to be found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PersonalisationPlan {
+    /// `[[personalisation.parameter]]`.
+    pub parameters: Vec<FreeParameter>,
+    /// `volume_curve`.
+    pub volume_curve: VolumeCurveSource,
+    /// `sigma_volume_ml`: standard deviation of the measured volumes.
+    pub sigma_volume_ml: f64,
+    /// `sigma_boundary_mm`: standard deviation of the boundary points.
+    pub sigma_boundary_mm: f64,
+    /// `max_iterations`: of Gauss–Newton.
+    pub max_iterations: usize,
+    /// `tolerance`: the search ends when a step changes no parameter by more than this, relative to its range.
+    pub tolerance: f64,
+}
+
+pub(super) fn read(table: TableReader, parameters: &Parameters) -> Option<PersonalisationPlan> {
+    let free: Vec<_> = table.tables("parameter").into_iter().filter_map(|table| read_parameter(table, parameters)).collect();
+    let plan = table.is_written().then(|| PersonalisationPlan {
+        parameters: free,
+        volume_curve: table.choice("volume_curve", VolumeCurveSource::Tracked),
+        sigma_volume_ml: table.number("sigma_volume_ml", 0.01..=100.0, 3.0),
+        sigma_boundary_mm: table.number("sigma_boundary_mm", 0.01..=50.0, 1.5),
+        max_iterations: table.count("max_iterations", 1..=1000, 12),
+        tolerance: table.number("tolerance", 1e-8..=0.1, 1e-3),
+    });
+    if let Some(plan) = &plan {
+        if !table.has("parameter") {
+            table.missing("parameter", "[[personalisation.parameter]] for each free parameter");
+        }
+        for (number, free) in plan.parameters.iter().enumerate() {
+            if plan.parameters[..number].iter().any(|other| other.parameter == free.parameter) {
+                table.problem(&format!("parameter[{number}].name"), "stands twice", "free each parameter once");
+            }
+        }
+    }
+    table.close();
+    plan
+}
+
+fn read_parameter(table: TableReader, parameters: &Parameters) -> Option<FreeParameter> {
+    if !table.has("name") {
+        table.missing("name", "the name of a parameter; `cardiotwin parameters` lists them");
+    }
+    let name = table.text("name");
+    let parameter = name.and_then(Parameter::from_name);
+    if let (Some(name), None) = (name, parameter) {
+        let near = Parameter::ALL.iter().map(|p| (strsim::damerau_levenshtein(name, p.spec().name), p.spec().name)).min();
+        let remedy = near.map_or(String::new(), |(_, near)| format!("did you mean \"{near}\"? "));
+        table.problem("name", "is no parameter", format!("{remedy}`cardiotwin parameters` lists them"));
+    }
+    let (lowest, highest) = parameter.map_or((f64::MIN, f64::MAX), |p| (p.spec().lower, p.spec().upper));
+    let lower = table.number("lower", lowest..=highest, lowest);
+    let upper = table.number("upper", lowest..=highest, highest);
+    if lower >= upper {
+        table.problem("lower", "is not below upper", format!("choose less than {upper}"));
+    }
+    let inside = lower..=upper.max(lower);
+    let model = parameter.map_or(lower, |p| parameters[p]);
+    let free = FreeParameter {
+        parameter: parameter.unwrap_or(Parameter::ALL[0]),
+        scope: table.choice("scope", ScopeOfParameter::Global),
+        lower,
+        upper,
+        start: table.optional_number("start", inside),
+        prior_mean: table.number("prior_mean", lowest..=highest, model),
+        prior_sd: table.optional_number("prior_sd", 1e-12..=1e12),
+    };
+    table.close();
+    parameter.map(|_| free)
+}

@@ -1,0 +1,73 @@
+//! `[phantom]`: images made of a heart whose truth is known, so that what is found can be judged.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::words;
+use crate::heart::{Parameter, Parameters};
+use crate::study::reader::TableReader;
+
+words! {
+    /// The anatomy that the truth is searched with.
+    ModelAnatomy {
+        /// The true mesh.
+        Truth = "truth",
+        /// A mesh from the rasterised labels of the first image, as a patient's would be.
+        Labels = "labels",
+    }
+}
+
+/// A synthetic patient.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PhantomPlan {
+    /// `[phantom.truth]`: true values of parameters; the others are the model's.
+    pub truth: BTreeMap<Parameter, f64>,
+    /// `[phantom.tolerance]`: how far the value found may lie from the true one, in the parameter's unit.
+    pub tolerances: BTreeMap<Parameter, f64>,
+    /// `anatomy`.
+    pub anatomy: ModelAnatomy,
+    /// `frames`: images of the beat.
+    pub frames: usize,
+    /// `voxel_size_mm`: voxel edge within a slice.
+    pub voxel_size_mm: f64,
+    /// `slice_thickness_mm`: slices average over it and touch each other.
+    pub slice_thickness_mm: f64,
+    /// `noise`: standard deviation of the Rician noise over the intensity of blood.
+    pub noise: f64,
+    /// `texture`: standard deviation of the texture that moves with the tissue over the intensity of muscle.
+    pub texture: f64,
+    /// `texture_length_mm`: its correlation length.
+    pub texture_length_mm: f64,
+    /// `bias`: amplitude of the smooth bias field, relative.
+    pub bias: f64,
+    /// `seed`: of texture and noise.
+    pub seed: u64,
+}
+
+pub(super) fn read(table: TableReader) -> Option<PhantomPlan> {
+    let truth_table = table.table("truth");
+    let mut truth = Parameters::default();
+    let mut written = BTreeSet::new();
+    for &parameter in Parameter::ALL {
+        truth_table.parameter(parameter, &mut truth, &mut written);
+    }
+    truth_table.close();
+    let tolerance_table = table.table("tolerance");
+    let tolerance = |&parameter: &Parameter| Some((parameter, tolerance_table.optional_number(parameter.spec().name, 0.0..=1e12)?));
+    let tolerances = Parameter::ALL.iter().filter_map(tolerance).collect();
+    tolerance_table.close();
+    let plan = table.is_written().then(|| PhantomPlan {
+        truth: written.into_iter().map(|parameter| (parameter, truth[parameter])).collect(),
+        tolerances,
+        anatomy: table.choice("anatomy", ModelAnatomy::Truth),
+        frames: table.count("frames", 4..=200, 30),
+        voxel_size_mm: table.number("voxel_size_mm", 0.5..=10.0, 1.5),
+        slice_thickness_mm: table.number("slice_thickness_mm", 0.5..=20.0, 8.0),
+        noise: table.number("noise", 0.0..=1.0, 0.03),
+        texture: table.number("texture", 0.0..=1.0, 0.15),
+        texture_length_mm: table.number("texture_length_mm", 0.5..=50.0, 4.0),
+        bias: table.number("bias", 0.0..=0.9, 0.1),
+        seed: table.count("seed", 0..=i64::MAX, 1) as u64,
+    });
+    table.close();
+    plan
+}

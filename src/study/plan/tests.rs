@@ -1,0 +1,153 @@
+//! What a study file may say, and what it is told when it says something else.
+
+use std::path::Path;
+
+use super::*;
+use crate::study::Overrides;
+
+const SIMULATE: &str = "kind = \"simulate\"\n[anatomy.idealised_lv]\n";
+const PHANTOM: &str = "kind = \"personalise\"\n[anatomy.idealised_lv]\n[phantom.truth]\ncontraction_peak_lv_kpa = 95\n[phantom.tolerance]\n\
+    contraction_peak_lv_kpa = 5\n[personalisation]\n[[personalisation.parameter]]\nname = \"contraction_peak_lv_kpa\"\nlower = 30\nupper = 200\n";
+
+fn plan(text: &str, settings: &[&str]) -> Result<Plan, StudyError> {
+    let overrides = Overrides { settings: settings.iter().map(|s| s.to_string()).collect(), ..Overrides::default() };
+    Plan::new(&Config::from_text(Path::new("some/study.toml"), text.into(), overrides)?)
+}
+
+/// The only problem of a study.
+fn problem(text: &str, settings: &[&str]) -> String {
+    match plan(text, settings).unwrap_err() {
+        StudyError::Invalid { problems, .. } => {
+            assert_eq!(problems.len(), 1, "{problems:?}");
+            problems[0].to_string()
+        }
+        other => panic!("{other}"),
+    }
+}
+
+#[test]
+fn what_is_not_written_has_its_default() {
+    let plan = plan(SIMULATE, &[]).unwrap();
+    assert_eq!(plan.kind, Kind::Simulate);
+    assert_eq!(plan.parameters, Parameters::default());
+    assert!(plan.written.is_empty() && plan.images.is_none() && plan.personalisation.is_none());
+    assert_eq!(plan.output.directory, Path::new("some/results"));
+}
+
+#[test]
+fn a_parameter_is_written_in_its_section_by_its_name() {
+    let plan = plan(SIMULATE, &["mechanics.contraction_peak_lv_kpa=120", "tracking.image_gain_base_kpa_per_mm = 2.5"]).unwrap();
+    assert_eq!(plan.parameters[Parameter::ContractionPeakLv], 120.0);
+    assert_eq!(plan.parameters[Parameter::ImageGainBase], 2.5);
+    assert_eq!(plan.written.len(), 2);
+}
+
+#[test]
+fn every_parameter_of_the_table_can_be_written() {
+    for parameter in Parameter::ALL {
+        let spec = parameter.spec();
+        let setting = format!("{}.{}={}", spec.section.key(), spec.name, spec.upper);
+        assert_eq!(plan(SIMULATE, &[&setting]).unwrap().parameters[*parameter], spec.upper, "{setting}");
+    }
+}
+
+#[test]
+fn a_misspelt_key_is_told_the_nearest_one() {
+    assert_eq!(
+        problem(&format!("{SIMULATE}[mechanics]\npoison_ratio = 0.4\n"), &[]),
+        "line 4: mechanics.poison_ratio = 0.4 is not known in [mechanics]; did you mean `poisson_ratio`?"
+    );
+    assert_eq!(
+        problem("kind = \"simulate\"\n[anatomy.idealised_lv]\n[mechanic]\n", &[]),
+        "line 3: mechanic is not known; did you mean `mechanics`?"
+    );
+}
+
+#[test]
+fn a_parameter_in_the_wrong_table_is_told_its_own() {
+    let words = problem(&format!("{SIMULATE}[circulation]\ncontraction_peak_lv_kpa = 90\n"), &[]);
+    assert!(words.ends_with("is not known in [circulation]; it belongs into [mechanics]"), "{words}");
+}
+
+#[test]
+fn a_value_out_of_range_is_told_the_range() {
+    assert_eq!(
+        problem(&format!("{SIMULATE}[mechanics]\npoisson_ratio = 0.6\n"), &[]),
+        "line 4: mechanics.poisson_ratio = 0.6 is out of range; choose a value from 0 to 0.49"
+    );
+    assert!(problem(SIMULATE, &["mechanics.step_s=nan"]).contains("out of range"));
+}
+
+#[test]
+fn a_wrong_type_is_told_the_right_one() {
+    assert!(problem(SIMULATE, &["mechanics.beats=1.5"]).contains("is not a whole number; write a whole number from 1 to 1000"));
+    assert!(problem(SIMULATE, &["mechanics.poisson_ratio=soft"]).contains("is not a number"));
+    assert!(problem(SIMULATE, &["mechanics=3"]).contains("is not a table"));
+    assert!(problem(SIMULATE, &["tracking.scheme=fast"]).contains("choose one of \"explicit\", \"published\", \"exact\", \"variational\""));
+    assert!(problem(SIMULATE, &["anatomy.septal_direction=[1,2]"]).contains("is not a vector"));
+    assert!(problem(SIMULATE, &["output.meshes=1"]).contains("neither true nor false"));
+}
+
+#[test]
+fn all_errors_are_named_at_once() {
+    let error = plan("kind = \"fly\"\n[mechanics]\nbeats = 0\nstep = 1\n", &[]).unwrap_err().to_string();
+    for part in ["has 4 errors", "kind = \"fly\"", "anatomy.labels is missing", "beats = 0", "mechanics.step = 1"] {
+        assert!(error.contains(part), "{part} is missing in:\n{error}");
+    }
+}
+
+#[test]
+fn a_missing_file_is_named_with_the_way_to_find_it() {
+    let words = problem("kind = \"simulate\"\n[anatomy]\nlabels = \"no_such_labels.nii.gz\"\n", &[]);
+    assert!(words.contains("some/no_such_labels.nii.gz does not exist") && words.contains("--data DIR"), "{words}");
+}
+
+#[test]
+fn a_missing_data_folder_is_named() {
+    let words = problem(&format!("data = \"nowhere\"\n{SIMULATE}"), &[]);
+    assert!(words.starts_with("line 1: data = \"nowhere\" names no folder: some/nowhere does not exist"), "{words}");
+}
+
+#[test]
+fn a_phantom_states_its_truth_and_what_is_found() {
+    let plan = plan(PHANTOM, &[]).unwrap();
+    let Some(ImageSource::Phantom(phantom)) = &plan.images else { panic!("no phantom") };
+    assert_eq!(phantom.truth.get(&Parameter::ContractionPeakLv), Some(&95.0));
+    let free = &plan.personalisation.as_ref().unwrap().parameters[0];
+    assert_eq!((free.lower, free.upper, free.start, free.prior_sd), (30.0, 200.0, None, None));
+    assert_eq!(free.prior_mean, Parameter::ContractionPeakLv.spec().default);
+}
+
+#[test]
+fn contradictions_are_refused() {
+    let cases = [
+        (PHANTOM.replace("contraction_peak_lv_kpa = 5", "contraction_rate_per_s = 5"), "not free"),
+        (PHANTOM.replace("lower = 30", "lower = 300"), "is not below upper"),
+        (PHANTOM.replace("lower = 30", "lower = 30\nstart = 20"), "choose a value from 30 to 200"),
+        (
+            PHANTOM.replace("name = \"contraction_peak_lv_kpa\"", "name = \"contraction_peak_kpa\""),
+            "did you mean \"contraction_peak_lv_kpa\"",
+        ),
+        (PHANTOM.replace("kind = \"personalise\"", "kind = \"track\""), "is of no use here"),
+        (SIMULATE.replace("simulate", "track"), "images is missing"),
+        (format!("{SIMULATE}cavity_length_mm = 30\nbase_height_mm = 40\n"), "lies beyond the cavity"),
+    ];
+    for (text, part) in cases {
+        let error = plan(&text, &[]).unwrap_err().to_string();
+        assert!(error.contains(part), "`{part}` is missing in:\n{error}");
+    }
+}
+
+#[test]
+fn the_same_parameter_is_not_freed_twice() {
+    let twice = format!("{PHANTOM}[[personalisation.parameter]]\nname = \"contraction_peak_lv_kpa\"\n");
+    assert!(plan(&twice, &[]).unwrap_err().to_string().contains("stands twice"));
+}
+
+proptest::proptest! {
+    #[test]
+    fn no_text_makes_it_panic(text in "(\\[{0,2}(anatomy|phantom|mechanics|personalisation.parameter|images)?\\]{0,2}\n?|kind|data|[a-z_.]{0,12} ?= ?[-0-9a-z\"\\[\\]{},.]{0,9}\n){0,12}") {
+        let _ = plan(&text, &[]);
+        let _ = plan(SIMULATE, &[&text]);
+    }
+}

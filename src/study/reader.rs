@@ -1,0 +1,284 @@
+//! Reads typed values out of a study file and collects everything that is wrong with it, so that one run names all errors.
+
+use std::cell::RefCell;
+use std::collections::BTreeSet;
+use std::ops::RangeInclusive;
+use std::path::PathBuf;
+
+use nalgebra::Vector3;
+use toml::Value;
+
+use super::{Config, Problem};
+use crate::heart::{Parameter, Parameters, Section};
+
+/// A closed set of words of the study file.
+pub(super) trait Choice: Copy + 'static {
+    /// Each value with its word.
+    const WORDS: &'static [(&'static str, Self)];
+}
+
+/// Collects the problems of one study file.
+pub(super) struct Reader<'a> {
+    config: &'a Config,
+    problems: RefCell<Vec<Problem>>,
+}
+
+/// One table of a study file; every key that is asked for is a key that may be written.
+pub(super) struct TableReader<'a> {
+    reader: &'a Reader<'a>,
+    path: String,
+    table: Option<&'a toml::Table>,
+    asked: RefCell<BTreeSet<&'static str>>,
+}
+
+impl<'a> Reader<'a> {
+    pub(super) fn new(config: &'a Config) -> Self {
+        Self { config, problems: RefCell::default() }
+    }
+
+    /// The top of the file.
+    pub(super) fn root(&'a self) -> TableReader<'a> {
+        self.table(String::new(), Some(&self.config.document))
+    }
+
+    /// All problems found so far.
+    pub(super) fn into_problems(self) -> Vec<Problem> {
+        self.problems.into_inner()
+    }
+
+    fn table(&'a self, path: String, table: Option<&'a toml::Table>) -> TableReader<'a> {
+        TableReader { reader: self, path, table, asked: RefCell::default() }
+    }
+}
+
+impl<'a> TableReader<'a> {
+    /// Whether the table is written in the file.
+    pub(super) fn is_written(&self) -> bool {
+        self.table.is_some()
+    }
+
+    /// Whether a key is written.
+    pub(super) fn has(&self, key: &'static str) -> bool {
+        self.value(key).is_some()
+    }
+
+    /// Full name of a key.
+    pub(super) fn name_of(&self, key: &str) -> String {
+        if self.path.is_empty() { key.to_string() } else { format!("{}.{key}", self.path) }
+    }
+
+    /// Records that something is wrong with a key.
+    pub(super) fn problem(&self, key: &str, what: impl Into<String>, remedy: impl Into<String>) {
+        let name = if key.is_empty() { self.path.clone() } else { self.name_of(key) };
+        let written = self.table.and_then(|table| table.get(key));
+        let value = written.filter(|value| !value.is_table()).map(|value| shortened(&value.to_string()));
+        self.reader.problems.borrow_mut().push(Problem {
+            line: written.and(self.reader.config.line_of(&name)),
+            value,
+            key: name,
+            what: what.into(),
+            remedy: remedy.into(),
+        });
+    }
+
+    /// A number within a range, or its default where the key is absent.
+    pub(super) fn number(&self, key: &'static str, range: RangeInclusive<f64>, default: f64) -> f64 {
+        self.optional_number(key, range).unwrap_or(default)
+    }
+
+    /// A number within a range, if it is written.
+    pub(super) fn optional_number(&self, key: &'static str, range: RangeInclusive<f64>) -> Option<f64> {
+        let number = match self.value(key)? {
+            Value::Float(number) => *number,
+            Value::Integer(number) => *number as f64,
+            _ => {
+                self.problem(key, "is not a number", format!("write a number from {} to {}", range.start(), range.end()));
+                return None;
+            }
+        };
+        if !range.contains(&number) {
+            self.problem(key, "is out of range", format!("choose a value from {} to {}", range.start(), range.end()));
+            return None;
+        }
+        Some(number)
+    }
+
+    /// A whole number within a range, or its default.
+    pub(super) fn count(&self, key: &'static str, range: RangeInclusive<i64>, default: i64) -> usize {
+        self.optional_count(key, range).unwrap_or(usize::try_from(default).unwrap_or(0))
+    }
+
+    /// A whole number within a range, if it is written.
+    pub(super) fn optional_count(&self, key: &'static str, range: RangeInclusive<i64>) -> Option<usize> {
+        let allowed = format!("a whole number from {} to {}", range.start(), range.end());
+        match self.value(key)? {
+            Value::Integer(number) if range.contains(number) => usize::try_from(*number).ok(),
+            Value::Integer(_) => {
+                self.problem(key, "is out of range", format!("choose {allowed}"));
+                None
+            }
+            _ => {
+                self.problem(key, "is not a whole number", format!("write {allowed}"));
+                None
+            }
+        }
+    }
+
+    /// One of a closed set of words, or its default.
+    pub(super) fn choice<T: Choice>(&self, key: &'static str, default: T) -> T {
+        self.optional_choice(key).unwrap_or(default)
+    }
+
+    /// One of a closed set of words, if it is written.
+    pub(super) fn optional_choice<T: Choice>(&self, key: &'static str) -> Option<T> {
+        let words = || T::WORDS.iter().map(|(word, _)| format!("\"{word}\"")).collect::<Vec<_>>().join(", ");
+        let found = self.value(key)?.as_str().and_then(|text| T::WORDS.iter().find(|(word, _)| *word == text));
+        if found.is_none() {
+            self.problem(key, "is not one of its words", format!("choose one of {}", words()));
+        }
+        found.map(|&(_, value)| value)
+    }
+
+    /// Text, if it is written.
+    pub(super) fn text(&self, key: &'static str) -> Option<&'a str> {
+        let text = self.value(key)?.as_str();
+        if text.is_none() {
+            self.problem(key, "is not text", "write it in quotes");
+        }
+        text
+    }
+
+    /// Yes or no, or its default.
+    pub(super) fn flag(&self, key: &'static str, default: bool) -> bool {
+        let Some(value) = self.value(key) else { return default };
+        value.as_bool().unwrap_or_else(|| {
+            self.problem(key, "is neither true nor false", "write true or false");
+            default
+        })
+    }
+
+    /// Three numbers, if they are written.
+    pub(super) fn vector(&self, key: &'static str) -> Option<Vector3<f64>> {
+        let numbers = self.numbers(key)?;
+        if numbers.len() != 3 {
+            self.problem(key, "is not a vector", "write three numbers, [x, y, z], in world coordinates (RAS)");
+            return None;
+        }
+        Some(Vector3::new(numbers[0], numbers[1], numbers[2]))
+    }
+
+    /// A list of finite numbers, if it is written.
+    pub(super) fn numbers(&self, key: &'static str) -> Option<Vec<f64>> {
+        let number = |value: &Value| value.as_float().or_else(|| value.as_integer().map(|n| n as f64)).filter(|n| n.is_finite());
+        let numbers = self.value(key)?.as_array().and_then(|list| list.iter().map(number).collect());
+        if numbers.is_none() {
+            self.problem(key, "is not a list of numbers", "write numbers in brackets, separated by commas");
+        }
+        numbers
+    }
+
+    /// An existing file of the data folder, if it is written.
+    pub(super) fn data_file(&self, key: &'static str) -> Option<PathBuf> {
+        let path = self.reader.config.data_folder().join(self.text(key)?);
+        if !path.is_file() {
+            self.problem(
+                key,
+                format!("names no file: {} does not exist", path.display()),
+                "mend the path, which starts from `data`, or give the folder of the data with --data DIR",
+            );
+        }
+        Some(path)
+    }
+
+    /// An existing file of the data folder that must be written.
+    pub(super) fn required_data_file(&self, key: &'static str) -> PathBuf {
+        if !self.has(key) {
+            self.missing(key, "the path of a file");
+        }
+        self.data_file(key).unwrap_or_default()
+    }
+
+    /// The table under a key.
+    pub(super) fn table(&self, key: &'static str) -> TableReader<'a> {
+        let value = self.value(key);
+        let table = value.and_then(Value::as_table);
+        if value.is_some() && table.is_none() {
+            self.problem(key, "is not a table", format!("write [{}] and its keys below", self.name_of(key)));
+        }
+        self.reader.table(self.name_of(key), table)
+    }
+
+    /// The tables of an array of tables, `[[key]]`.
+    pub(super) fn tables(&self, key: &'static str) -> Vec<TableReader<'a>> {
+        let Some(value) = self.value(key) else { return Vec::new() };
+        let tables: Option<Vec<_>> = value.as_array().and_then(|list| list.iter().map(Value::as_table).collect());
+        if tables.is_none() {
+            self.problem(key, "is not a list of tables", format!("write [[{}]] once for each", self.name_of(key)));
+        }
+        let named = |(number, table)| self.reader.table(format!("{}[{number}]", self.name_of(key)), Some(table));
+        tables.unwrap_or_default().into_iter().enumerate().map(named).collect()
+    }
+
+    /// The parameters of one section of the model's table, each within its physical range.
+    pub(super) fn parameters(&self, section: Section, parameters: &mut Parameters, written: &mut BTreeSet<Parameter>) {
+        for &parameter in Parameter::ALL.iter().filter(|parameter| parameter.spec().section == section) {
+            self.parameter(parameter, parameters, written);
+        }
+    }
+
+    /// One parameter under its own name, if it is written.
+    pub(super) fn parameter(&self, parameter: Parameter, parameters: &mut Parameters, written: &mut BTreeSet<Parameter>) {
+        let spec = parameter.spec();
+        if let Some(value) = self.optional_number(spec.name, spec.lower..=spec.upper) {
+            match parameters.set(parameter, value) {
+                Ok(()) => drop(written.insert(parameter)),
+                Err(error) => self.problem(spec.name, "is out of range", error.to_string()),
+            }
+        }
+    }
+
+    /// Ends the table: whatever is written and was not asked for is an error.
+    pub(super) fn close(self) {
+        let Some(table) = self.table else { return };
+        let asked = self.asked.borrow();
+        for key in table.keys().filter(|key| !asked.contains(key.as_str())) {
+            let remedy = match nearest(key, &asked) {
+                Some(near) => format!("did you mean `{near}`?"),
+                None => {
+                    elsewhere(key).unwrap_or_else(|| format!("the keys here are {}", asked.iter().copied().collect::<Vec<_>>().join(", ")))
+                }
+            };
+            let known = if self.path.is_empty() { "is not known".to_string() } else { format!("is not known in [{}]", self.path) };
+            self.problem(key, known, remedy);
+        }
+    }
+
+    fn value(&self, key: &'static str) -> Option<&'a Value> {
+        self.asked.borrow_mut().insert(key);
+        self.table?.get(key)
+    }
+
+    /// Records that a key must be written and is not.
+    pub(super) fn missing(&self, key: &str, expected: &str) {
+        self.problem(key, "is missing", format!("write {expected}"));
+    }
+}
+
+/// The known key that differs by few letters.
+fn nearest<'k>(key: &str, known: &BTreeSet<&'k str>) -> Option<&'k str> {
+    let near = known.iter().map(|&candidate| (strsim::damerau_levenshtein(key, candidate), candidate)).min()?;
+    (near.0 <= 2.max(key.len() / 4)).then_some(near.1)
+}
+
+/// Where a parameter belongs that was written in a wrong table.
+fn elsewhere(key: &str) -> Option<String> {
+    Parameter::from_name(key).map(|parameter| format!("it belongs into [{}]", parameter.spec().section.key()))
+}
+
+fn shortened(text: &str) -> String {
+    let mut short: String = text.chars().take(80).collect();
+    if short.len() < text.len() {
+        short.push('…');
+    }
+    short
+}
