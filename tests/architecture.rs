@@ -2,6 +2,8 @@
 //!
 //! A failure names the file and the line; the remedy is to move the code, not to widen the tables below.
 
+#![allow(clippy::unwrap_used, reason = "a test may stop at the first surprise")]
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -187,11 +189,11 @@ fn a_side_effect_has_its_place() {
 #[test]
 fn a_file_opens_with_a_sentence_and_stays_one_room() {
     let complaint = |source: &Source| {
-        let lines = source.text.lines().count();
+        let lines = source.code.len();
         if !source.text.starts_with("//! ") {
             Some(format!("src/{}: opens with no sentence (`//! …`)", source.name))
         } else if lines > 500 {
-            Some(format!("src/{}: {lines} lines; split it where the parts have names", source.name))
+            Some(format!("src/{}: {lines} lines before its tests; split it where the parts have names", source.name))
         } else {
             None
         }
