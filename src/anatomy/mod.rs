@@ -1,5 +1,10 @@
 //! The patient's heart at rest: mesh, surfaces, cavities, regions, transmural depth and fibres, [Billet2009] §3.
 
+mod error;
+pub mod mesher;
+
+pub use error::AnatomyError;
+
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
