@@ -4,12 +4,16 @@ mod cine;
 mod error;
 mod grid;
 mod mask;
+mod nifti;
 mod sampling;
+mod timing;
 mod volume;
 
 pub use cine::CineSequence;
 pub use error::ImageError;
 pub use grid::Grid;
 pub use mask::{Plane, VentricleFields};
+pub use nifti::{CineReading, NiftiImage, read_cine, read_label_map, read_label_maps, read_nifti};
 pub use sampling::CineInstant;
+pub use timing::CineTiming;
 pub use volume::{LabelMap, Volume};
