@@ -1,1 +1,25 @@
 //! The proactive tracker: image forces and block-matched base, [Billet2009] §4 and §5.
+//!
+//! | module | what it holds |
+//! |---|---|
+//! | `instant` | the cine sequence at one time, linear between frames |
+//! | `appearance` | what each surface looks like on the reference frame |
+//! | `boundary` | the search of boundary points Z along the normals |
+//! | `scheme` | the image force of one vertex: explicit, published, exact, variational |
+//! | `image_force` | all surfaces as one load on the step system |
+
+mod appearance;
+mod boundary;
+mod error;
+#[cfg(test)]
+mod fixtures;
+mod image_force;
+mod instant;
+mod scheme;
+
+pub use appearance::{AppearanceSettings, SurfaceAppearance};
+pub use boundary::{BoundarySearch, BoundarySettings, BoundaryTarget, SurfaceTargets};
+pub use error::TrackingError;
+pub use image_force::{ImageForce, SurfaceGain};
+pub use instant::CineInstant;
+pub use scheme::{ForceScheme, VertexLoad};

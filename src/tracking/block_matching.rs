@@ -1,0 +1,277 @@
+//! The motion of the base by block matching: every base vertex carries a block of the reference image and looks for the most
+//! similar block in each frame, coarse to fine, sub-voxel at the end, [Billet2009] §5 with the practice of [Ourselin2000].
+
+use nalgebra::{DMatrix, Vector3};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::appearance::quantile;
+use super::pyramid::{Level, Pyramid};
+use super::{BaseMotion, TrackingError};
+use crate::image::CineSequence;
+
+/// What makes two blocks alike.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Similarity {
+    /// Sum of squared differences, as in [Billet2009] §5.
+    #[default]
+    Ssd,
+    /// Normalised cross-correlation: blind to brightness and contrast.
+    Ncc,
+}
+
+/// How blocks are matched.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BlockMatchingSettings {
+    /// What makes two blocks alike.
+    pub similarity: Similarity,
+    /// Edge of the isotropic voxels that are compared, mm.
+    pub voxel_mm: f64,
+    /// A block has 2 r + 1 voxels along each axis, at every level.
+    pub block_radius_voxels: usize,
+    /// Levels of the pyramid; each halves the resolution.
+    pub levels: usize,
+    /// Search range around the position in the frame before, mm.
+    pub range_mm: f64,
+    /// Share of the blocks that is used: those of the highest variance.
+    pub variance_share: f64,
+    /// Share of the matches that is kept after trimming those farthest from the common affine motion.
+    pub trimmed_share: f64,
+}
+
+impl Default for BlockMatchingSettings {
+    fn default() -> Self {
+        Self {
+            similarity: Similarity::Ssd,
+            voxel_mm: 1.5,
+            block_radius_voxels: 4,
+            levels: 3,
+            range_mm: 6.0,
+            variance_share: 0.75,
+            trimmed_share: 0.75,
+        }
+    }
+}
+
+/// Matches the blocks around `vertices` (positions `position_mm` of the whole mesh, on the frame `reference_frame`) in every frame,
+/// forward in time through one cycle, each frame's search starting from the frame before.
+///
+/// # Errors
+/// [`TrackingError::SettingOutOfRange`], [`TrackingError::BaseNotCovered`] if no vertex has its block inside the image.
+pub fn match_base(
+    cine: &CineSequence,
+    reference_frame: usize,
+    vertices: &[usize],
+    position_mm: &[Vector3<f64>],
+    settings: &BlockMatchingSettings,
+) -> Result<BaseMotion, TrackingError> {
+    check(settings)?;
+    let centres: Vec<Vector3<f64>> = vertices.iter().map(|&vertex| position_mm[vertex]).collect();
+    let reach_mm = settings.range_mm * 2.0 + settings.voxel_mm * (settings.block_radius_voxels << (settings.levels - 1)) as f64;
+    let pyramid_of = |frame: usize| Pyramid::around(&cine.frames()[frame], &centres, reach_mm, settings.voxel_mm, settings.levels);
+    let frame_count = cine.frames().len();
+    let reference = pyramid_of(reference_frame % frame_count);
+    let blocks: Vec<Vec<Block>> = centres.iter().map(|centre| blocks_of(&reference, centre, settings.block_radius_voxels)).collect();
+    let usable = highest_variance(&blocks, settings.variance_share);
+    if usable.iter().all(|&is_usable| !is_usable) {
+        return Err(TrackingError::BaseNotCovered { vertex_count: vertices.len() });
+    }
+    let mut displacement_mm = vec![vec![Vector3::zeros(); vertices.len()]; frame_count];
+    let mut confidence = vec![vec![0.0; vertices.len()]; frame_count];
+    let mut start = vec![Vector3::zeros(); vertices.len()];
+    for step in 0..frame_count {
+        let frame = (reference_frame + step) % frame_count;
+        let moving = pyramid_of(frame);
+        let raw: Vec<Option<Match>> = (0..vertices.len())
+            .into_par_iter()
+            .map(|place| if usable[place] { search(&blocks[place], &moving, &centres[place], &start[place], settings) } else { None })
+            .collect();
+        let (common, trust) = trim(&centres, &raw, settings.trimmed_share);
+        for place in 0..vertices.len() {
+            let found = raw[place].filter(|_| trust[place] > 0.0);
+            displacement_mm[frame][place] = found.map_or(common[place], |m| m.displacement_mm);
+            confidence[frame][place] = found.map_or(0.0, |m| m.similarity * trust[place]);
+        }
+        start = common;
+    }
+    Ok(BaseMotion::new(vertices.to_vec(), cine.times_s().to_vec(), cine.period_s(), displacement_mm, confidence))
+}
+
+fn check(settings: &BlockMatchingSettings) -> Result<(), TrackingError> {
+    TrackingError::check_setting("voxel_mm", settings.voxel_mm, 0.1, 20.0)?;
+    TrackingError::check_setting("block_radius_voxels", settings.block_radius_voxels as f64, 1.0, 16.0)?;
+    TrackingError::check_setting("levels", settings.levels as f64, 1.0, 6.0)?;
+    TrackingError::check_setting("range_mm", settings.range_mm, settings.voxel_mm, 100.0)?;
+    TrackingError::check_setting("variance_share", settings.variance_share, 0.01, 1.0)?;
+    TrackingError::check_setting("trimmed_share", settings.trimmed_share, 0.01, 1.0)
+}
+
+/// The voxels of a block at one level of the pyramid, with mean and variance.
+struct Block {
+    values: Vec<f32>,
+    mean: f64,
+    variance: f64,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Match {
+    displacement_mm: Vector3<f64>,
+    /// 0..=1.
+    similarity: f64,
+}
+
+/// The blocks around a point, finest level first; levels at which the block leaves the image are cut off.
+fn blocks_of(pyramid: &Pyramid, centre_mm: &Vector3<f64>, radius: usize) -> Vec<Block> {
+    let read = |level: &Level| {
+        let mut values = Vec::new();
+        level.read_block(centre_mm, radius, &mut values).then(|| {
+            let (mean, variance) = moments(&values);
+            Block { values, mean, variance }
+        })
+    };
+    pyramid.levels().iter().map_while(read).collect()
+}
+
+fn moments(values: &[f32]) -> (f64, f64) {
+    let count = values.len() as f64;
+    let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / count;
+    (mean, values.iter().map(|&v| (f64::from(v) - mean).powi(2)).sum::<f64>() / count)
+}
+
+fn highest_variance(blocks: &[Vec<Block>], share: f64) -> Vec<bool> {
+    let variances: Vec<Option<f64>> = blocks.iter().map(|list| list.first().map(|block| block.variance)).collect();
+    let least = quantile(variances.iter().flatten().copied(), 1.0 - share);
+    variances.iter().map(|variance| variance.is_some_and(|v| v >= least && v > 0.0)).collect()
+}
+
+/// Dissimilarity of a reference block and the block at a point of a level, 0 (the same) to about 2, or nothing outside the image.
+///
+/// SSD: $\sum (a - b)^2 / \sum ((a - \bar a)^2 + (b - \bar b)^2)$, without the denominator's dependence on b for the search: the
+/// reference's variance alone scales it. NCC: $1 - \rho$.
+fn dissimilarity(block: &Block, level: &Level, point_mm: &Vector3<f64>, settings: &BlockMatchingSettings, other: &mut Vec<f32>) -> Option<f64> {
+    if !level.read_block(point_mm, settings.block_radius_voxels, other) {
+        return None;
+    }
+    let pairs = || block.values.iter().zip(other.iter()).map(|(&a, &b)| (f64::from(a), f64::from(b)));
+    match settings.similarity {
+        Similarity::Ssd => {
+            let sum: f64 = pairs().map(|(a, b)| (a - b) * (a - b)).sum();
+            Some(sum / (2.0 * block.variance.max(f64::MIN_POSITIVE) * block.values.len() as f64))
+        }
+        Similarity::Ncc => {
+            let (mean, variance) = moments(other);
+            let covariance = pairs().map(|(a, b)| (a - block.mean) * (b - mean)).sum::<f64>() / block.values.len() as f64;
+            Some(1.0 - covariance / (block.variance * variance).sqrt().max(f64::MIN_POSITIVE))
+        }
+    }
+}
+
+/// The best match of a block, from the coarsest level down, each level searching the voxels around the best of the one above.
+fn search(
+    blocks: &[Block],
+    moving: &Pyramid,
+    centre_mm: &Vector3<f64>,
+    start_mm: &Vector3<f64>,
+    settings: &BlockMatchingSettings,
+) -> Option<Match> {
+    let mut other = Vec::new();
+    let mut best_mm = *start_mm;
+    let mut best = f64::INFINITY;
+    for depth in (0..blocks.len()).rev() {
+        let (level, block) = (&moving.levels()[depth], &blocks[depth]);
+        let step_mm = level.voxel_mm();
+        let is_coarsest = depth + 1 == blocks.len();
+        let reach = if is_coarsest { (settings.range_mm / step_mm).ceil() as i32 } else { 1 };
+        let around_mm = best_mm;
+        best = f64::INFINITY;
+        for [i, j, k] in cube(reach) {
+            let displacement_mm = around_mm + level.axes() * Vector3::new(f64::from(i), f64::from(j), f64::from(k)) * step_mm;
+            if let Some(value) = dissimilarity(block, level, &(centre_mm + displacement_mm), settings, &mut other)
+                && value < best
+            {
+                (best, best_mm) = (value, displacement_mm);
+            }
+        }
+    }
+    if !best.is_finite() {
+        return None;
+    }
+    let block = blocks.first()?;
+    let finest = &moving.levels()[0];
+    for step_mm in [finest.voxel_mm(), 0.5 * finest.voxel_mm()] {
+        let at = |shift: Vector3<f64>, other: &mut Vec<f32>| {
+            dissimilarity(block, finest, &(centre_mm + best_mm + finest.axes() * shift * step_mm), settings, other)
+        };
+        let Some(middle) = at(Vector3::zeros(), &mut other) else { break };
+        let mut shift = Vector3::zeros();
+        for axis in 0..3 {
+            let unit = Vector3::ith(axis, 1.0);
+            if let (Some(before), Some(after)) = (at(-unit, &mut other), at(unit, &mut other)) {
+                shift[axis] = parabola_minimum(before, middle, after);
+            }
+        }
+        best_mm += finest.axes() * shift * step_mm;
+        best = best.min(middle);
+    }
+    Some(Match { displacement_mm: best_mm, similarity: (1.0 - best).clamp(0.0, 1.0) })
+}
+
+/// Where the parabola through (−1, a), (0, b), (1, c) is smallest, within ±1; 0 if it is not convex.
+fn parabola_minimum(before: f64, middle: f64, after: f64) -> f64 {
+    let curvature = before - 2.0 * middle + after;
+    if curvature <= 0.0 { 0.0 } else { (0.5 * (before - after) / curvature).clamp(-1.0, 1.0) }
+}
+
+/// All offsets of a cube, from its centre outward, so that of equal matches the nearest wins.
+fn cube(reach: i32) -> Vec<[i32; 3]> {
+    let side = || -reach..=reach;
+    let mut offsets: Vec<[i32; 3]> = side().flat_map(|k| side().flat_map(move |j| side().map(move |i| [i, j, k]))).collect();
+    offsets.sort_by_key(|[i, j, k]| i * i + j * j + k * k);
+    offsets
+}
+
+/// The common affine motion of all matches by least trimmed squares, and the trust of each match: zero for the trimmed share
+/// farthest from it, otherwise $1/(1 + (r/\tau)^2)$ with τ twice the median residual (at least a tenth of a millimetre).
+fn trim(centres: &[Vector3<f64>], raw: &[Option<Match>], share: f64) -> (Vec<Vector3<f64>>, Vec<f64>) {
+    const ROUNDS: usize = 4;
+    let mut trust: Vec<f64> = raw.iter().map(|m| m.map_or(0.0, |m| m.similarity)).collect();
+    let mut common = vec![Vector3::zeros(); centres.len()];
+    for _ in 0..ROUNDS {
+        common = affine_motion(centres, raw, &trust);
+        let residual: Vec<Option<f64>> = raw.iter().zip(&common).map(|(m, c)| m.map(|m| (m.displacement_mm - c).norm())).collect();
+        let largest = quantile(residual.iter().flatten().copied(), share);
+        let scale = (2.0 * quantile(residual.iter().flatten().copied(), 0.5)).max(0.1);
+        trust = residual
+            .iter()
+            .map(|r| r.filter(|&r| r <= largest + 1e-9).map_or(0.0, |r| 1.0 / (1.0 + (r / scale).powi(2))))
+            .collect();
+    }
+    (common, trust)
+}
+
+/// Weighted least squares d(x) = a + A (x − x̄), of least norm where the points lie in a plane or line.
+fn affine_motion(centres: &[Vector3<f64>], raw: &[Option<Match>], weights: &[f64]) -> Vec<Vector3<f64>> {
+    let used: Vec<usize> = (0..centres.len()).filter(|&place| weights[place] > 0.0 && raw[place].is_some()).collect();
+    let mass: f64 = used.iter().map(|&place| weights[place]).sum();
+    if mass <= 0.0 {
+        return vec![Vector3::zeros(); centres.len()];
+    }
+    let middle = used.iter().map(|&place| centres[place] * weights[place]).sum::<Vector3<f64>>() / mass;
+    let extent = (used.iter().map(|&place| weights[place] * (centres[place] - middle).norm_squared()).sum::<f64>() / mass).sqrt().max(1.0);
+    let row = |place: usize| {
+        let offset = (centres[place] - middle) / extent;
+        [1.0, offset.x, offset.y, offset.z]
+    };
+    let matrix = DMatrix::from_fn(used.len(), 4, |r, c| weights[used[r]].sqrt() * row(used[r])[c]);
+    let data = DMatrix::from_fn(used.len(), 3, |r, c| {
+        weights[used[r]].sqrt() * raw[used[r]].map_or(0.0, |m| m.displacement_mm[c])
+    });
+    let svd = matrix.svd(true, true);
+    // Base rings are nearly flat: what lies out of the plane says nothing on gradients across it.
+    let tolerance = 0.1 * svd.singular_values.max();
+    let Ok(solution) = svd.solve(&data, tolerance) else { return vec![Vector3::zeros(); centres.len()] };
+    let at = |place: usize| Vector3::from_fn(|c, _| row(place).iter().enumerate().map(|(r, x)| x * solution[(r, c)]).sum());
+    (0..centres.len()).map(at).collect()
+}

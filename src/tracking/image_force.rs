@@ -1,0 +1,85 @@
+//! All tracked surfaces as one load on the step system: (K̃ + K_img) Y^{t+h} = F + F̃_img, [Billet2009] §4.2.
+
+use super::{BoundarySearch, BoundaryTarget, CineInstant, ForceScheme, SurfaceTargets, TrackingError};
+use crate::image::CineSequence;
+use crate::mechanics::{MotionState, StepLoad, StepSystem};
+use crate::mesh::TaggedSurface;
+
+/// A surface with its gain.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SurfaceGain {
+    /// The search on this surface.
+    pub search: BoundarySearch,
+    /// Gain γ per area, kPa/mm.
+    pub gain_kpa_per_mm: f64,
+}
+
+/// The image force of a cine sequence on the endocardia and the epicardium.
+#[derive(Debug, Clone)]
+pub struct ImageForce<'a> {
+    cine: &'a CineSequence,
+    surface: &'a TaggedSurface,
+    surfaces: Vec<SurfaceGain>,
+    scheme: ForceScheme,
+    held_out: Vec<bool>,
+}
+
+impl<'a> ImageForce<'a> {
+    /// The load of `surfaces`. `held_out` (one a mesh vertex, or empty) marks vertices that get no force, so that their residual
+    /// can judge the gains.
+    ///
+    /// # Errors
+    /// [`TrackingError::SettingOutOfRange`] for a gain that is negative or not finite.
+    pub fn new(
+        cine: &'a CineSequence,
+        surface: &'a TaggedSurface,
+        surfaces: Vec<SurfaceGain>,
+        scheme: ForceScheme,
+        held_out: Vec<bool>,
+    ) -> Result<Self, TrackingError> {
+        for one in &surfaces {
+            TrackingError::check_setting("gain_kpa_per_mm", one.gain_kpa_per_mm, 0.0, f64::MAX)?;
+        }
+        Ok(Self { cine, surface, surfaces, scheme, held_out })
+    }
+
+    /// The surfaces with their gains.
+    pub fn surfaces(&self) -> &[SurfaceGain] {
+        &self.surfaces
+    }
+
+    /// The boundary points of every surface for a mesh at `position_mm`, in the image of `time_s`.
+    pub fn targets(&self, position_mm: &[nalgebra::Vector3<f64>], time_s: f64) -> Vec<SurfaceTargets> {
+        let instant = CineInstant::new(self.cine, time_s);
+        self.surfaces.iter().map(|one| one.search.find(self.surface, position_mm, &instant)).collect()
+    }
+
+    /// Whether a vertex is held out.
+    pub fn is_held_out(&self, vertex: usize) -> bool {
+        self.held_out.get(vertex).copied().unwrap_or(false)
+    }
+
+    /// γ of a boundary point in mN/mm: gain per area × vertex area × confidence; zero where held out.
+    pub fn gain_mn_per_mm(&self, gain_kpa_per_mm: f64, target: &BoundaryTarget) -> f64 {
+        if self.is_held_out(target.vertex) { 0.0 } else { gain_kpa_per_mm * target.area_mm2 * target.confidence }
+    }
+}
+
+impl StepLoad for ImageForce<'_> {
+    /// Explicit: the boundary at the beginning of the step, in the image of that time. Implicit: the boundary that the mesh sees from
+    /// where it stands in the image of the step's end, with the dependence of Z on Y in the stiffness.
+    fn add_to(&self, state: &MotionState, time_s: f64, step_s: f64, system: &mut StepSystem) {
+        let image_time_s = if self.scheme == ForceScheme::Explicit { time_s } else { time_s + step_s };
+        let targets = self.targets(&state.position_mm, image_time_s);
+        for (one, found) in self.surfaces.iter().zip(&targets) {
+            for target in &found.targets {
+                let gain = self.gain_mn_per_mm(one.gain_kpa_per_mm, target);
+                if gain > 0.0 {
+                    let load = self.scheme.load(target, &state.position_mm[target.vertex], gain);
+                    system.force_mn[target.vertex] += load.force_mn;
+                    system.stiffness_mn_per_mm[target.vertex] += load.stiffness_mn_per_mm;
+                }
+            }
+        }
+    }
+}
