@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{CineInstant, TrackingError};
+use super::{ImageInstant, TrackingError};
 use crate::mesh::{SurfaceTag, TaggedSurface};
 
 /// How the appearance of a surface is learnt.
@@ -64,7 +64,7 @@ impl SurfaceAppearance {
         surface: &TaggedSurface,
         tag: SurfaceTag,
         position_mm: &[Vector3<f64>],
-        (instant, time_s): (&CineInstant, f64),
+        (instant, time_s): (&ImageInstant, f64),
         settings: &AppearanceSettings,
     ) -> Result<Self, TrackingError> {
         let vertices = surface.vertices_with(tag);
@@ -113,7 +113,7 @@ fn read_sides(
     vertices: &[usize],
     area_mm2: &[Vector3<f64>],
     position_mm: &[Vector3<f64>],
-    instant: &CineInstant,
+    instant: &ImageInstant,
     settings: &AppearanceSettings,
 ) -> Vec<Option<Sides>> {
     let read = |&vertex: &usize| {
@@ -128,7 +128,7 @@ fn read_sides(
 
 /// Median intensity on one side of a point.
 pub(super) fn side_intensity(
-    instant: &CineInstant,
+    instant: &ImageInstant,
     point_mm: &Vector3<f64>,
     direction: &Vector3<f64>,
     settings: &AppearanceSettings,

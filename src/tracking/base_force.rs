@@ -32,7 +32,7 @@ pub enum BaseProjection {
 }
 
 /// Displacements of base vertices from their reference positions at some times of a cycle, with confidences; periodic in time.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct BaseMotion {
     vertices: Vec<usize>,
     times_s: Vec<f64>,
@@ -106,7 +106,8 @@ impl BaseMotion {
         let last = self.times_s.len() - 1;
         let phase_s = self.times_s[0] + (time_s - self.times_s[0]).rem_euclid(self.period_s);
         let earlier = self.times_s.partition_point(|&t| t <= phase_s).max(1) - 1;
-        let (later, later_s) = if earlier == last { (0, self.times_s[0] + self.period_s) } else { (earlier + 1, self.times_s[earlier + 1]) };
+        let (later, later_s) =
+            if earlier == last { (0, self.times_s[0] + self.period_s) } else { (earlier + 1, self.times_s[earlier + 1]) };
         let weight = ((phase_s - self.times_s[earlier]) / (later_s - self.times_s[earlier])).clamp(0.0, 1.0);
         let (from, to) = (self.displacement_mm[earlier][place], self.displacement_mm[later][place]);
         let (sure, surer) = (self.confidence[earlier][place], self.confidence[later][place]);

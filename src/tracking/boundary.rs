@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::appearance::{side_intensity, weighted_average};
-use super::{AppearanceSettings, CineInstant, SurfaceAppearance, TrackingError};
+use super::{AppearanceSettings, ImageInstant, SurfaceAppearance, TrackingError};
 use crate::mesh::{SurfaceTag, TaggedSurface};
 
 /// How boundary points are searched and trusted.
@@ -103,7 +103,7 @@ impl BoundarySearch {
     /// Candidates of a vertex are the crossings of its level ℓ in the learnt sense (dark to bright or bright to dark) whose
     /// gradient norm exceeds the threshold. The nearest to the mesh is taken first; then, once, the nearest to the average of
     /// the neighbours' points, so that a vertex does not jump to a papillary muscle alone.
-    pub fn find(&self, surface: &TaggedSurface, position_mm: &[Vector3<f64>], instant: &CineInstant) -> SurfaceTargets {
+    pub fn find(&self, surface: &TaggedSurface, position_mm: &[Vector3<f64>], instant: &ImageInstant) -> SurfaceTargets {
         let area_mm2 = surface.vertex_area_vectors_mm2(self.appearance.tag, position_mm);
         let vertices = &self.appearance.vertices;
         let candidates: Vec<Vec<Candidate>> = vertices
@@ -139,7 +139,7 @@ impl BoundarySearch {
     }
 
     /// All crossings of the level along the normal of one vertex, by rising distance along it.
-    fn candidates(&self, place: usize, origin_mm: &Vector3<f64>, normal: &Vector3<f64>, instant: &CineInstant) -> Vec<Candidate> {
+    fn candidates(&self, place: usize, origin_mm: &Vector3<f64>, normal: &Vector3<f64>, instant: &ImageInstant) -> Vec<Candidate> {
         let sense = self.appearance.contrast[place].signum();
         let level = self.appearance.level[place];
         let half_count = (self.settings.range_mm / self.settings.sample_mm).round() as i32;
@@ -169,7 +169,7 @@ impl BoundarySearch {
         origin_mm: &Vector3<f64>,
         normal: &Vector3<f64>,
         distance_mm: f64,
-        instant: &CineInstant,
+        instant: &ImageInstant,
     ) -> Option<Candidate> {
         let SurfaceAppearance { contrast, contrast_median, gradient_threshold_per_mm, .. } = &self.appearance;
         let point_mm = origin_mm + normal * distance_mm;
@@ -193,15 +193,16 @@ impl BoundarySearch {
         if cos_beta >= full { 1.0 } else { ((cos_beta - none) / (full - none)).max(0.0) }
     }
 
-    /// Between thick slices the trilinear image shows the boundary of either slice, blended, not the one between them. Across
-    /// one slice distance $d$ the boundary moves by $d \tan\varphi$ in the slice, φ the angle of N out of the slice; the blend
-    /// errs by about a quarter of that (its largest weight product), $e = \tfrac14 d \tan\varphi$, less the part that the voxels themselves blur.
-    fn slice_confidence(&self, normal: &Vector3<f64>, instant: &CineInstant) -> f64 {
-        let (slice_normal, spacing_mm) = instant.slice_normal_and_spacing_mm();
+    /// Between thick slices the trilinear image shows the boundaries of both slices blended, not the one between them. From slice
+    /// to slice, $d$ apart, the boundary moves by $d \tan\varphi$, φ the angle of N out of the slice; the blend errs by about a
+    /// quarter of that (the largest product of its weights), and voxels of the size of the pixels blur as much anyway:
+    /// $e = \tfrac14 (d - d_\text{pixel}) \tan\varphi$, $c = 1/(1 + (e/e_\text{half})^2)$.
+    fn slice_confidence(&self, normal: &Vector3<f64>, instant: &ImageInstant) -> f64 {
+        let (slice_normal, excess_mm) = instant.slice_normal_and_excess_mm();
         let across = normal.dot(&slice_normal).abs().min(1.0);
-        let along = (1.0 - across * across).sqrt();
-        let error = 0.25 * spacing_mm * across / self.settings.slice_error_mm;
-        along * along / (along * along + error * error)
+        let along_squared = 1.0 - across * across;
+        let error = 0.25 * excess_mm * across / self.settings.slice_error_mm;
+        if error == 0.0 { 1.0 } else { along_squared / (along_squared + error * error) }
     }
 
     fn neighbours_average(&self, chosen: &[Option<&Candidate>]) -> Vec<Option<f64>> {
@@ -256,10 +257,10 @@ fn refine_crossing(low: (f64, f64), high: (f64, f64), height: impl Fn(f64) -> Op
 
 #[cfg(test)]
 mod tests {
-    use super::super::fixtures::{image, slab, step};
+    use super::super::fixtures::{image, slab, step, still};
     use super::super::{ForceScheme, SurfaceAppearance};
     use super::*;
-    use crate::image::Volume;
+    use crate::image::CineSequence;
     use crate::mesh::TetMesh;
 
     const RADIUS_MM: f64 = 20.0;
@@ -274,13 +275,13 @@ mod tests {
     }
 
     /// Bright blood within a sphere, dark wall around it.
-    fn ball(radius_mm: f64, spacing_mm: f64) -> Volume {
-        image(Vector3::repeat(40.0), Vector3::repeat(spacing_mm), |p| 100.0 + 400.0 * step(radius_mm - p.norm(), 1.0))
+    fn ball(radius_mm: f64, spacing_mm: f64) -> CineSequence {
+        still(image(Vector3::repeat(40.0), Vector3::repeat(spacing_mm), |p| 100.0 + 400.0 * step(radius_mm - p.norm(), 1.0)))
     }
 
-    fn search_on(reference: &Volume, mesh: &TetMesh, surface: &TaggedSurface) -> BoundarySearch {
+    fn search_on(reference: &CineSequence, mesh: &TetMesh, surface: &TaggedSurface) -> BoundarySearch {
         let sides = AppearanceSettings::default();
-        let instant = CineInstant::of_frame(reference);
+        let instant = ImageInstant::new(reference, 0.0);
         let tag = SurfaceTag::EndocardiumLv;
         let appearance = SurfaceAppearance::learn(surface, tag, mesh.vertices_mm(), (&instant, 0.0), &sides).unwrap();
         BoundarySearch::new(appearance, sides, BoundarySettings::default()).unwrap()
@@ -293,7 +294,7 @@ mod tests {
         let search = search_on(&ball(RADIUS_MM, 1.5), &mesh, &surface);
         assert!((search.appearance().fraction - 0.5).abs() < 0.05, "{}", search.appearance().fraction);
         let moved = ball(17.0, 1.5);
-        let found = search.find(&surface, mesh.vertices_mm(), &CineInstant::of_frame(&moved));
+        let found = search.find(&surface, mesh.vertices_mm(), &ImageInstant::new(&moved, 0.0));
         assert_eq!(found.targets.len(), found.vertex_count);
         let interior = found.targets.iter().filter(|t| t.normal.dot(&-mesh.vertices_mm()[t.vertex].normalize()) > 0.999);
         let mut counted = 0;
@@ -309,10 +310,10 @@ mod tests {
     #[test]
     fn a_uniform_image_has_no_boundary() {
         let (mesh, surface) = patch(RADIUS_MM);
-        let uniform = image(Vector3::repeat(40.0), Vector3::repeat(2.0), |_| 300.0);
+        let uniform = still(image(Vector3::repeat(40.0), Vector3::repeat(2.0), |_| 300.0));
         let search = search_on(&ball(RADIUS_MM, 1.5), &mesh, &surface);
-        assert!(search.find(&surface, mesh.vertices_mm(), &CineInstant::of_frame(&uniform)).targets.is_empty());
-        let instant = CineInstant::of_frame(&uniform);
+        assert!(search.find(&surface, mesh.vertices_mm(), &ImageInstant::new(&uniform, 0.0)).targets.is_empty());
+        let instant = ImageInstant::new(&uniform, 0.0);
         let sides = AppearanceSettings::default();
         let error = SurfaceAppearance::learn(&surface, SurfaceTag::EndocardiumLv, mesh.vertices_mm(), (&instant, 0.3), &sides);
         assert!(matches!(error, Err(TrackingError::NoContrast { .. })), "{error:?}");
@@ -324,13 +325,13 @@ mod tests {
         let (mesh, surface) = patch(RADIUS_MM);
         let away: Vec<_> = mesh.vertices_mm().iter().map(|v| v + Vector3::repeat(500.0)).collect();
         let reference = ball(RADIUS_MM, 2.0);
-        let instant = CineInstant::of_frame(&reference);
+        let instant = ImageInstant::new(&reference, 0.0);
         let error = SurfaceAppearance::learn(&surface, SurfaceTag::EndocardiumLv, &away, (&instant, 0.0), &AppearanceSettings::default());
         assert!(matches!(error, Err(TrackingError::NotCovered { covered: 0, .. })), "{error:?}");
     }
 
     /// The one candidate that a vertex at `origin_mm` sees along a fixed normal.
-    fn only_candidate(search: &BoundarySearch, origin_mm: &Vector3<f64>, normal: &Vector3<f64>, instant: &CineInstant) -> Candidate {
+    fn only_candidate(search: &BoundarySearch, origin_mm: &Vector3<f64>, normal: &Vector3<f64>, instant: &ImageInstant) -> Candidate {
         let found = search.candidates(0, origin_mm, normal, instant);
         assert_eq!(found.len(), 1, "at {origin_mm:?}");
         found[0]
@@ -351,8 +352,8 @@ mod tests {
         let cases: [(&dyn Fn(Vector3<f64>) -> f64, Vector3<f64>); 2] =
             [(&plane, Vector3::new(1.0, 2.0, 3.0)), (&ellipsoid, Vector3::new(4.0, 8.0, 22.0))];
         for (distance, origin_mm) in cases {
-            let volume = image(Vector3::repeat(35.0), Vector3::repeat(0.7), |p| 100.0 + 400.0 * step(distance(p), 2.0));
-            let instant = CineInstant::of_frame(&volume);
+            let volume = still(image(Vector3::repeat(35.0), Vector3::repeat(0.7), |p| 100.0 + 400.0 * step(distance(p), 2.0)));
+            let instant = ImageInstant::new(&volume, 0.0);
             let at = |origin_mm: Vector3<f64>| origin_mm + normal * only_candidate(&search, &origin_mm, &normal, &instant).distance_mm;
             let image_normal = only_candidate(&search, &origin_mm, &normal, &instant).image_normal;
             let width_mm = 0.7;
@@ -380,9 +381,9 @@ mod tests {
         let (mesh, surface) = patch(RADIUS_MM);
         let search = search_on(&ball(RADIUS_MM, 1.5), &mesh, &surface);
         let axes = Vector3::new(14.0, 19.0, 24.0);
-        let volume =
-            image(Vector3::repeat(35.0), Vector3::repeat(0.7), |p| 100.0 + 400.0 * step(15.0 * (1.0 - p.component_div(&axes).norm()), 2.0));
-        let instant = CineInstant::of_frame(&volume);
+        let ellipsoid = |p: Vector3<f64>| 15.0 * (1.0 - p.component_div(&axes).norm());
+        let volume = still(image(Vector3::repeat(35.0), Vector3::repeat(0.7), |p| 100.0 + 400.0 * step(ellipsoid(p), 2.0)));
+        let instant = ImageInstant::new(&volume, 0.0);
         let (origin_mm, normal) = (Vector3::new(4.0, 8.0, 22.0), Vector3::new(-0.2, 0.1, -1.0).normalize());
         let candidate = only_candidate(&search, &origin_mm, &normal, &instant);
         let gain = 2.5;

@@ -24,6 +24,12 @@ pub enum TrackingError {
         "a boundary was found on only {found} of {vertex_count} vertices of {tag:?} at {time_s} s; the frame may be corrupt or the mesh far off"
     )]
     BoundaryLost { tag: SurfaceTag, found: usize, vertex_count: usize, time_s: f64 },
+    /// No block around the base lies inside the image.
+    #[error("none of the {vertex_count} base vertices has its block inside the image; use smaller blocks or another base mode")]
+    BaseNotCovered { vertex_count: usize },
+    /// A base motion cannot be used.
+    #[error("the base motion cannot be used: {reason}")]
+    BaseMotion { reason: String },
     /// A setting is outside its range.
     #[error("{name} = {value} must lie in {lower} to {upper}")]
     SettingOutOfRange { name: &'static str, value: f64, lower: f64, upper: f64 },

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::image::{Grid, Volume};
+use crate::image::{CineSequence, Grid, Volume};
 use crate::mesh::{SurfaceTag, TaggedSurface, TetMesh};
 
 /// A slab of `cells` × `cells` × 1 cubes over [−1, 1]² × [0, 1], each cut into six tetrahedra, its vertices moved by `map` (which
@@ -61,4 +61,9 @@ pub(super) fn image(half_mm: Vector3<f64>, spacing_mm: Vector3<f64>, intensity: 
 /// A smooth step from 0 to 1 over a few times `width_mm`.
 pub(super) fn step(distance_mm: f64, width_mm: f64) -> f64 {
     1.0 / (1.0 + (-distance_mm / width_mm).exp())
+}
+
+/// A cine sequence that shows one image all the time.
+pub(super) fn still(volume: Volume) -> CineSequence {
+    CineSequence::new(vec![volume.clone(), volume], vec![0.0, 0.5], 1.0).unwrap()
 }

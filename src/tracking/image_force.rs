@@ -1,6 +1,6 @@
 //! All tracked surfaces as one load on the step system: (K̃ + K_img) Y^{t+h} = F + F̃_img, [Billet2009] §4.2.
 
-use super::{BoundarySearch, BoundaryTarget, CineInstant, ForceScheme, SurfaceTargets, TrackingError};
+use super::{BoundarySearch, BoundaryTarget, ForceScheme, ImageInstant, SurfaceTargets, TrackingError};
 use crate::image::CineSequence;
 use crate::mechanics::{MotionState, StepLoad, StepSystem};
 use crate::mesh::TaggedSurface;
@@ -50,7 +50,7 @@ impl<'a> ImageForce<'a> {
 
     /// The boundary points of every surface for a mesh at `position_mm`, in the image of `time_s`.
     pub fn targets(&self, position_mm: &[nalgebra::Vector3<f64>], time_s: f64) -> Vec<SurfaceTargets> {
-        let instant = CineInstant::new(self.cine, time_s);
+        let instant = ImageInstant::new(self.cine, time_s);
         self.surfaces.iter().map(|one| one.search.find(self.surface, position_mm, &instant)).collect()
     }
 

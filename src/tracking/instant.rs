@@ -1,145 +1,90 @@
-//! The cine sequence at one instant: intensities linear between frames and trilinear between voxels, [Billet2009] §4.1.
+//! The image at one instant as the boundary search sees it: cine values with a margin of half a voxel, and gradients over a voxel.
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::image::{CineSequence, Volume};
+use crate::image::{CineInstant, CineSequence, Grid};
 
-/// A cine sequence at one time. Frames are periodic; between two frames at $t_a \le t < t_b$ the image is
-/// $I(x, t) = (1 - w) I_a(x) + w I_b(x)$ with $w = (t - t_a)/(t_b - t_a)$.
+/// A cine sequence at one time, linear between frames and periodic, [Billet2009] §4.1.
 #[derive(Debug, Clone, Copy)]
-pub struct CineInstant<'a> {
-    earlier: &'a Volume,
-    later: &'a Volume,
-    weight: f64,
+pub struct ImageInstant<'a> {
+    cine: CineInstant<'a>,
+    voxel_axes_mm: Matrix3<f64>,
+    world_to_voxel: Matrix3<f64>,
 }
 
-impl<'a> CineInstant<'a> {
+impl<'a> ImageInstant<'a> {
     /// The images of `cine` at `time_s`.
     pub fn new(cine: &'a CineSequence, time_s: f64) -> Self {
-        let (earlier, later, weight) = cine.frames_around(time_s);
-        Self { earlier: &cine.frames()[earlier], later: &cine.frames()[later], weight }
+        let grid = cine.grid();
+        let voxel_axes_mm = grid.voxel_to_world().fixed_view::<3, 3>(0, 0).into_owned();
+        Self { cine: cine.at_time(time_s), voxel_axes_mm, world_to_voxel: grid.world_to_voxel_linear() }
     }
 
-    /// One frame alone, without interpolation in time.
-    pub fn of_frame(frame: &'a Volume) -> Self {
-        Self { earlier: frame, later: frame, weight: 0.0 }
-    }
-
-    /// Intensity at a world position (mm), or nothing outside the voxels (a voxel reaches half its width beyond its centre).
+    /// Intensity at a world position (mm). A voxel reaches half its width beyond its centre: within that margin the outermost
+    /// value stands, which matters at the first and last of few thick slices. Nothing further out.
     pub fn value(&self, position_mm: &Vector3<f64>) -> Option<f64> {
-        self.value_at_voxel(&self.earlier.grid().to_voxel(position_mm))
+        self.cine.sample(position_mm).or_else(|| self.cine.sample(&clamped_to_centres(self.cine.grid(), position_mm)?))
     }
 
-    /// Gradient of the intensity (1/mm) in world axes at a position, from differences one voxel to either side along each axis
-    /// of the grid, so that it is smooth where the trilinear interpolant has kinks; nothing outside the voxels.
-    ///
-    /// $\nabla I = A^{-T} \nabla_{ijk} I$ with $A$ the linear part of the voxel-to-world map.
+    /// Gradient of the intensity (1/mm, world axes), from values one voxel to either side along each axis of the grid: smooth where
+    /// the gradient of the trilinear interpolant jumps. With A the linear part of the voxel-to-world map, $\nabla I = A^{-T} \nabla_{ijk} I$.
     pub fn gradient_per_mm(&self, position_mm: &Vector3<f64>) -> Option<Vector3<f64>> {
-        let grid = self.earlier.grid();
-        let voxel = grid.to_voxel(position_mm);
-        self.value_at_voxel(&voxel)?;
-        let shape = grid.shape();
+        let middle = self.value(position_mm)?;
         let mut slope = Vector3::zeros();
         for axis in 0..3 {
-            let (mut before, mut after) = (voxel, voxel);
-            let last = shape[axis] as f64 - 1.0;
-            before[axis] = (voxel[axis] - 1.0).clamp(0.0, last);
-            after[axis] = (voxel[axis] + 1.0).clamp(0.0, last);
-            let width = after[axis] - before[axis];
-            if width > 0.0 {
-                slope[axis] = (self.value_at_voxel(&after)? - self.value_at_voxel(&before)?) / width;
-            }
+            let step = self.voxel_axes_mm.column(axis);
+            // At the border of the image a one-sided difference remains.
+            slope[axis] = match (self.value(&(position_mm - step)), self.value(&(position_mm + step))) {
+                (Some(before), Some(after)) => 0.5 * (after - before),
+                (Some(before), None) => middle - before,
+                (None, Some(after)) => after - middle,
+                (None, None) => 0.0,
+            };
         }
-        let to_voxel: Matrix3<f64> = grid.world_to_voxel_linear();
-        Some(to_voxel.transpose() * slope)
+        Some(self.world_to_voxel.transpose() * slope)
     }
 
-    /// Unit normal of the slices (the k axis of the grid's faces) and the distance between them, mm.
-    pub fn slice_normal_and_spacing_mm(&self) -> (Vector3<f64>, f64) {
-        let row = self.earlier.grid().world_to_voxel_linear().row(2).transpose();
-        (row.normalize(), 1.0 / row.norm())
-    }
-
-    fn value_at_voxel(&self, voxel: &Vector3<f64>) -> Option<f64> {
-        let stencil = Trilinear::at(self.earlier.grid().shape(), voxel)?;
-        let earlier = stencil.apply(self.earlier.values());
-        if self.weight == 0.0 {
-            return Some(earlier);
-        }
-        Some(earlier + self.weight * (stencil.apply(self.later.values()) - earlier))
+    /// Unit normal of the slices (the planes of constant k) and by how much the distance between them exceeds the voxels in them, mm.
+    pub fn slice_normal_and_excess_mm(&self) -> (Vector3<f64>, f64) {
+        let row = self.world_to_voxel.row(2).transpose();
+        let in_slice_mm = self.voxel_axes_mm.column(0).norm().max(self.voxel_axes_mm.column(1).norm());
+        (row.normalize(), (1.0 / row.norm() - in_slice_mm).max(0.0))
     }
 }
 
-/// The eight voxels around a point and their weights; constant beyond the outer voxel centres, by half a voxel.
-struct Trilinear {
-    corner: [[usize; 2]; 3],
-    fraction: [f64; 3],
-}
-
-impl Trilinear {
-    fn at(shape: [usize; 3], voxel: &Vector3<f64>) -> Option<Self> {
-        let mut corner = [[0; 2]; 3];
-        let mut fraction = [0.0; 3];
-        for axis in 0..3 {
-            let last = shape[axis] as f64 - 1.0;
-            if !(-0.5..=last + 0.5).contains(&voxel[axis]) {
-                return None;
-            }
-            let index = voxel[axis].clamp(0.0, last);
-            let low = (index as usize).min(shape[axis].saturating_sub(2));
-            let stride: usize = shape[..axis].iter().product();
-            corner[axis] = [low * stride, (low + 1).min(shape[axis] - 1) * stride];
-            fraction[axis] = index - low as f64;
-        }
-        Some(Self { corner, fraction })
-    }
-
-    fn apply(&self, values: &[f32]) -> f64 {
-        let [[i0, i1], [j0, j1], [k0, k1]] = self.corner;
-        let [u, v, w] = self.fraction;
-        let along_i = |offset: usize| {
-            let low = f64::from(values[i0 + offset]);
-            low + u * (f64::from(values[i1 + offset]) - low)
-        };
-        let along_j = |offset: usize| {
-            let low = along_i(j0 + offset);
-            low + v * (along_i(j1 + offset) - low)
-        };
-        let low = along_j(k0);
-        low + w * (along_j(k1) - low)
-    }
+/// The nearest point of the box of voxel centres, if it is no further than half a voxel along each axis.
+pub(super) fn clamped_to_centres(grid: &Grid, position_mm: &Vector3<f64>) -> Option<Vector3<f64>> {
+    let voxel = grid.to_voxel(position_mm);
+    let last = Vector3::from(grid.shape().map(|n| n as f64 - 1.0));
+    let clamped = voxel.zip_map(&last, |v, last| v.clamp(0.0, last));
+    ((voxel - clamped).amax() <= 0.5).then(|| grid.to_world_mm(&clamped))
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::fixtures::still;
     use super::*;
-    use crate::image::Grid;
+    use crate::image::Volume;
     use nalgebra::Matrix4;
 
-    /// Trilinear interpolation is exact on affine functions, also through an oblique, anisotropic affine map, and so is time.
+    /// Affine intensities have exact gradients through an oblique, anisotropic affine map, and half a slice of margin.
     #[test]
-    fn affine_intensities_are_exact_in_space_and_time() {
+    fn gradients_of_affine_intensities_are_exact_and_slices_reach_half_their_thickness_out() {
         let rotation = Matrix4::from_euler_angles(0.3, -0.2, 0.5);
-        let affine = Matrix4::new_translation(&Vector3::new(3.0, -7.0, 11.0))
-            * rotation
-            * Matrix4::new_nonuniform_scaling(&Vector3::new(1.3, 1.4, 9.0));
-        let grid = Grid::new([8, 9, 5], affine).unwrap();
+        let scale = Matrix4::new_nonuniform_scaling(&Vector3::new(1.3, 1.4, 9.0));
+        let grid = Grid::new([8, 9, 5], Matrix4::new_translation(&Vector3::new(3.0, -7.0, 11.0)) * rotation * scale).unwrap();
         let slope = Vector3::new(0.7, -1.1, 0.4);
-        let frame = |offset: f64| {
-            let at = |flat: usize| {
-                let voxel = grid.voxel_of(flat).map(|n| n as f64);
-                (slope.dot(&grid.to_world_mm(&Vector3::from(voxel))) + offset) as f32
-            };
-            Volume::new(grid.clone(), (0..grid.voxel_count()).map(at).collect()).unwrap()
-        };
-        let cine = CineSequence::new(vec![frame(0.0), frame(8.0)], vec![0.0, 0.4], 1.0).unwrap();
-        let instant = CineInstant::new(&cine, 0.1);
+        let at = |flat: usize| slope.dot(&grid.to_world_mm(&Vector3::from(grid.voxel_of(flat).map(|n| n as f64)))) as f32;
+        let cine = still(Volume::new(grid.clone(), (0..grid.voxel_count()).map(at).collect()).unwrap());
+        let instant = ImageInstant::new(&cine, 0.1);
         let point = grid.to_world_mm(&Vector3::new(3.3, 4.8, 2.4));
-        assert!((instant.value(&point).unwrap() - slope.dot(&point) - 2.0).abs() < 1e-5);
-        assert!((instant.gradient_per_mm(&point).unwrap() - slope).norm() < 1e-5);
-        let (normal, spacing_mm) = instant.slice_normal_and_spacing_mm();
-        assert!((spacing_mm - 9.0).abs() < 1e-12 && (normal - rotation.fixed_view::<3, 1>(0, 2)).norm() < 1e-12);
+        assert!((instant.value(&point).unwrap() - slope.dot(&point)).abs() < 1e-4);
+        assert!((instant.gradient_per_mm(&point).unwrap() - slope).norm() < 1e-4);
+        let (normal, excess_mm) = instant.slice_normal_and_excess_mm();
+        assert!((excess_mm - 7.6).abs() < 1e-12 && (normal - rotation.fixed_view::<3, 1>(0, 2)).norm() < 1e-12);
         assert!(instant.value(&grid.to_world_mm(&Vector3::new(3.0, 4.0, 4.6))).is_none());
-        assert!(instant.value(&grid.to_world_mm(&Vector3::new(3.0, 4.0, 4.4))).is_some());
+        let last = grid.to_world_mm(&Vector3::new(3.0, 4.0, 4.0));
+        let beyond = instant.value(&grid.to_world_mm(&Vector3::new(3.0, 4.0, 4.4))).unwrap();
+        assert!((beyond - slope.dot(&last)).abs() < 1e-4);
     }
 }

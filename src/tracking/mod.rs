@@ -7,19 +7,26 @@
 //! | `boundary` | the search of boundary points Z along the normals |
 //! | `scheme` | the image force of one vertex: explicit, published, exact, variational |
 //! | `image_force` | all surfaces as one load on the step system |
+//! | `block_matching`, `pyramid` | the motion of the base from blocks of voxels |
+//! | `base_force` | the base drawn along a known motion |
 
 mod appearance;
+mod base_force;
+mod block_matching;
 mod boundary;
 mod error;
 #[cfg(test)]
 mod fixtures;
 mod image_force;
 mod instant;
+mod pyramid;
 mod scheme;
 
 pub use appearance::{AppearanceSettings, SurfaceAppearance};
+pub use base_force::{BaseForce, BaseMode, BaseMotion, BaseProjection};
+pub use block_matching::{BlockMatchingSettings, Similarity, match_base};
 pub use boundary::{BoundarySearch, BoundarySettings, BoundaryTarget, SurfaceTargets};
 pub use error::TrackingError;
 pub use image_force::{ImageForce, SurfaceGain};
-pub use instant::CineInstant;
+pub use instant::ImageInstant;
 pub use scheme::{ForceScheme, VertexLoad};

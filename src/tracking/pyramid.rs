@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Matrix4, Vector3};
 
-use super::CineInstant;
+use super::instant::clamped_to_centres;
 use crate::image::{Grid, Volume};
 
 /// Finest level first; each next has voxels of twice the edge, after a binomial filter.
@@ -37,13 +37,13 @@ impl Pyramid {
         high = (high + Vector3::repeat(reach_mm)).inf(&end);
         let shape = [0, 1, 2].map(|axis| ((high[axis] - low[axis]) / voxel_mm).floor().max(0.0) as usize + 1);
         let origin_mm = grid.to_world_mm(&Vector3::zeros()) + axes * low;
-        let instant = CineInstant::of_frame(volume);
         let mut values = Vec::with_capacity(shape.iter().product());
         for k in 0..shape[2] {
             for j in 0..shape[1] {
                 for i in 0..shape[0] {
                     let at = origin_mm + axes * Vector3::new(i as f64, j as f64, k as f64) * voxel_mm;
-                    values.push(instant.value(&at).unwrap_or(0.0) as f32);
+                    let value = clamped_to_centres(grid, &at).and_then(|within| volume.sample(&within));
+                    values.push(value.unwrap_or(0.0) as f32);
                 }
             }
         }
