@@ -1,14 +1,46 @@
 //! Active and visco-elastic mechanics of the myocardium, [Billet2009] §2; every force is a load on one step system.
 
+mod contraction;
+mod error;
+mod material;
+mod myocardium;
+mod solver;
+mod springs;
+mod step;
+
 use nalgebra::{Matrix3, Vector3};
 
-/// Position and velocity of every vertex.
+pub use contraction::ContractionLaw;
+pub use error::MechanicsError;
+pub use material::{PassiveProperties, TransverseIsotropy};
+pub use myocardium::Myocardium;
+pub use solver::{SolvePath, SolveReport, SolveSettings, StepSolver};
+pub use step::StepOperator;
+
+/// How every vertex moves at one instant.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MotionState {
     /// Positions y, mm.
     pub position_mm: Vec<Vector3<f64>>,
     /// Velocities, mm/s.
     pub velocity_mm_per_s: Vec<Vector3<f64>>,
+    /// Accelerations ÿ, mm/s².
+    pub acceleration_mm_per_s2: Vec<Vector3<f64>>,
+    /// The auxiliary acceleration a that generalised-α carries, mm/s²; equal to ÿ in schemes without one.
+    pub algorithmic_acceleration_mm_per_s2: Vec<Vector3<f64>>,
+}
+
+impl MotionState {
+    /// No motion, at the given positions (mm).
+    pub fn at_rest(position_mm: Vec<Vector3<f64>>) -> Self {
+        let zero = vec![Vector3::zeros(); position_mm.len()];
+        Self {
+            position_mm,
+            velocity_mm_per_s: zero.clone(),
+            acceleration_mm_per_s2: zero.clone(),
+            algorithmic_acceleration_mm_per_s2: zero,
+        }
+    }
 }
 
 /// What is added to the step system K̃ Y = F: forces on the right, 3 × 3 blocks on the diagonal of the left, so that

@@ -1,0 +1,355 @@
+//! Preconditioned conjugate gradients and GMRES for several right-hand sides in lockstep, so that one pass over the
+//! preconditioner's factor serves all of them [Saad2003].
+
+use nalgebra::Vector3;
+
+use super::LinearSolveError;
+
+/// One vector a vertex.
+type Field = Vec<Vector3<f64>>;
+/// y = A x.
+pub(super) type Apply<'a> = dyn Fn(&[Vector3<f64>], &mut [Vector3<f64>]) + 'a;
+/// Replaces every right-hand side by its preconditioned self.
+pub(super) type Precondition<'a> = dyn FnMut(&mut [Vec<Vector3<f64>>]) + 'a;
+
+/// When to stop.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KrylovLimits {
+    /// A column has converged when its residual norm is below this fraction of its right-hand side's norm.
+    pub relative_tolerance: f64,
+    /// Iterations of any column.
+    pub iteration_limit: usize,
+}
+
+/// How an iterative solve went.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KrylovReport {
+    /// Iterations of the slowest column.
+    pub iteration_count: usize,
+    /// Largest relative residual over the columns.
+    pub relative_residual: f64,
+}
+
+/// What conjugate gradients found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ConjugateGradientOutcome {
+    /// Every column converged.
+    Converged(KrylovReport),
+    /// A direction of negative curvature: the matrix is not positive definite. The right-hand sides are untouched.
+    NegativeCurvature,
+}
+
+/// Kept memory of the iterative solvers: one set of vectors a column.
+#[derive(Debug, Clone, Default)]
+pub struct KrylovWorkspace {
+    solution: Vec<Field>,
+    residual: Vec<Field>,
+    direction: Vec<Field>,
+    preconditioned: Vec<Field>,
+    product: Field,
+    columns: Vec<ColumnState>,
+    arnoldi: Vec<Arnoldi>,
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct ColumnState {
+    rhs_norm: f64,
+    residual_norm: f64,
+    rho: f64,
+    is_done: bool,
+}
+
+/// Solves A x = b in place for symmetric positive definite A and preconditioner.
+///
+/// # Errors
+/// [`LinearSolveError::NotConverged`] and [`LinearSolveError::NotFinite`]; the right-hand sides are then untouched.
+pub fn conjugate_gradients(
+    apply: &Apply<'_>,
+    precondition: &mut Precondition<'_>,
+    right_hand_sides: &mut [Field],
+    limits: KrylovLimits,
+    work: &mut KrylovWorkspace,
+) -> Result<ConjugateGradientOutcome, LinearSolveError> {
+    work.start(right_hand_sides)?;
+    let count = right_hand_sides.len();
+    let mut iteration_count = 0;
+    while work.columns[..count].iter().any(|column| !column.is_done) {
+        if iteration_count == limits.iteration_limit {
+            return Err(work.not_converged(count, iteration_count, limits));
+        }
+        iteration_count += 1;
+        work.precondition_active(count, precondition, |work, column| &work.residual[column]);
+        let mut slot = 0;
+        for column in 0..count {
+            if work.columns[column].is_done {
+                continue;
+            }
+            if !work.conjugate_step(column, slot, iteration_count == 1, apply) {
+                return Ok(ConjugateGradientOutcome::NegativeCurvature);
+            }
+            slot += 1;
+            let state = &mut work.columns[column];
+            if !state.residual_norm.is_finite() {
+                return Err(LinearSolveError::NotFinite { right_hand_side: column });
+            }
+            state.is_done = state.residual_norm <= limits.relative_tolerance * state.rhs_norm;
+        }
+    }
+    let report = work.finish(right_hand_sides, iteration_count);
+    Ok(ConjugateGradientOutcome::Converged(report))
+}
+
+/// Directions kept before GMRES restarts.
+const RESTART: usize = 40;
+
+/// One column's Krylov basis and its small least-squares problem, kept triangular by Givens rotations.
+#[derive(Debug, Clone, Default)]
+struct Arnoldi {
+    basis: Vec<Field>,
+    triangle: Vec<[f64; RESTART + 1]>,
+    rotations: Vec<(f64, f64)>,
+    rhs: Vec<f64>,
+    step_count: usize,
+}
+
+/// Solves A x = b in place for any nonsingular A, preconditioned from the right, restarted every 40 directions.
+///
+/// # Errors
+/// [`LinearSolveError::NotConverged`] and [`LinearSolveError::NotFinite`]; the right-hand sides are then untouched.
+pub fn gmres(
+    apply: &Apply<'_>,
+    precondition: &mut Precondition<'_>,
+    right_hand_sides: &mut [Field],
+    limits: KrylovLimits,
+    work: &mut KrylovWorkspace,
+) -> Result<KrylovReport, LinearSolveError> {
+    work.start(right_hand_sides)?;
+    let count = right_hand_sides.len();
+    work.arnoldi.resize_with(count.max(work.arnoldi.len()), Arnoldi::default);
+    let mut iteration_count = 0;
+    while work.columns[..count].iter().any(|column| !column.is_done) {
+        for column in 0..count {
+            work.arnoldi[column].begin(&work.residual[column], work.columns[column].residual_norm);
+        }
+        let mut is_open: Vec<bool> = work.columns[..count].iter().map(|column| !column.is_done).collect();
+        for _ in 0..RESTART {
+            if iteration_count == limits.iteration_limit || is_open.iter().all(|&open| !open) {
+                break;
+            }
+            iteration_count += 1;
+            work.arnoldi_step(&mut is_open, precondition, apply, limits);
+        }
+        work.correct(right_hand_sides, precondition, apply);
+        for column in 0..count {
+            let state = &mut work.columns[column];
+            if !state.residual_norm.is_finite() {
+                return Err(LinearSolveError::NotFinite { right_hand_side: column });
+            }
+            state.is_done = state.residual_norm <= limits.relative_tolerance * state.rhs_norm;
+        }
+        if iteration_count == limits.iteration_limit && work.columns[..count].iter().any(|column| !column.is_done) {
+            return Err(work.not_converged(count, iteration_count, limits));
+        }
+    }
+    Ok(work.finish(right_hand_sides, iteration_count))
+}
+
+impl KrylovWorkspace {
+    fn start(&mut self, right_hand_sides: &[Field]) -> Result<(), LinearSolveError> {
+        let count = right_hand_sides.len();
+        for fields in [&mut self.solution, &mut self.residual, &mut self.direction, &mut self.preconditioned] {
+            fields.resize_with(count.max(fields.len()), Vec::new);
+        }
+        self.columns.resize(count.max(self.columns.len()), ColumnState::default());
+        for (column, rhs) in right_hand_sides.iter().enumerate() {
+            self.product.resize(rhs.len(), Vector3::zeros());
+            self.solution[column].clear();
+            self.solution[column].resize(rhs.len(), Vector3::zeros());
+            self.direction[column].resize(rhs.len(), Vector3::zeros());
+            self.preconditioned[column].resize(rhs.len(), Vector3::zeros());
+            self.residual[column].clear();
+            self.residual[column].extend_from_slice(rhs);
+            let norm = dot(rhs, rhs).sqrt();
+            if !norm.is_finite() {
+                return Err(LinearSolveError::NotFinite { right_hand_side: column });
+            }
+            self.columns[column] = ColumnState { rhs_norm: norm, residual_norm: norm, rho: 0.0, is_done: norm == 0.0 };
+        }
+        Ok(())
+    }
+
+    /// Preconditions one vector of every unfinished column into the first slots of `preconditioned`, in column order.
+    fn precondition_active(&mut self, count: usize, precondition: &mut Precondition<'_>, source: impl Fn(&Self, usize) -> &Field) -> usize {
+        let mut preconditioned = std::mem::take(&mut self.preconditioned);
+        let mut slot = 0;
+        for column in (0..count).filter(|&column| !self.columns[column].is_done) {
+            preconditioned[slot].copy_from_slice(source(self, column));
+            slot += 1;
+        }
+        precondition(&mut preconditioned[..slot]);
+        self.preconditioned = preconditioned;
+        slot
+    }
+
+    /// One step of conjugate gradients in a column; false at a direction of negative curvature.
+    fn conjugate_step(&mut self, column: usize, slot: usize, is_first: bool, apply: &Apply<'_>) -> bool {
+        let state = &mut self.columns[column];
+        let (z, p) = (&self.preconditioned[slot], &mut self.direction[column]);
+        let rho = dot(&self.residual[column], z);
+        let beta = if is_first { 0.0 } else { rho / state.rho };
+        for (p, z) in p.iter_mut().zip(z) {
+            *p = if is_first { *z } else { z + *p * beta };
+        }
+        apply(p, &mut self.product);
+        let curvature = dot(p, &self.product);
+        if curvature <= 0.0 || rho <= 0.0 {
+            return false;
+        }
+        let alpha = rho / curvature;
+        state.rho = rho;
+        add_scaled(&mut self.solution[column], alpha, p);
+        add_scaled(&mut self.residual[column], -alpha, &self.product);
+        state.residual_norm = dot(&self.residual[column], &self.residual[column]).sqrt();
+        true
+    }
+
+    fn arnoldi_step(&mut self, is_open: &mut [bool], precondition: &mut Precondition<'_>, apply: &Apply<'_>, limits: KrylovLimits) {
+        let mut preconditioned = std::mem::take(&mut self.preconditioned);
+        let mut slot = 0;
+        for (column, _) in is_open.iter().enumerate().filter(|&(_, &open)| open) {
+            let arnoldi = &self.arnoldi[column];
+            preconditioned[slot].copy_from_slice(&arnoldi.basis[arnoldi.step_count]);
+            slot += 1;
+        }
+        precondition(&mut preconditioned[..slot]);
+        slot = 0;
+        for (column, open) in is_open.iter_mut().enumerate().filter(|(_, open)| **open) {
+            apply(&preconditioned[slot], &mut self.product);
+            slot += 1;
+            let residual_norm = self.arnoldi[column].extend(&mut self.product);
+            // Written so that a NaN closes the column, and is found when the true residual is formed.
+            let goes_on = residual_norm > 0.5 * limits.relative_tolerance * self.columns[column].rhs_norm;
+            *open = goes_on;
+        }
+        self.preconditioned = preconditioned;
+    }
+
+    /// x += P⁻¹ V y and the true residual, for the columns that took steps.
+    fn correct(&mut self, right_hand_sides: &[Field], precondition: &mut Precondition<'_>, apply: &Apply<'_>) {
+        let count = right_hand_sides.len();
+        let mut preconditioned = std::mem::take(&mut self.preconditioned);
+        let stepped = |work: &Self, column: usize| !work.columns[column].is_done && work.arnoldi[column].step_count > 0;
+        let mut slot = 0;
+        for column in (0..count).filter(|&column| stepped(self, column)) {
+            self.arnoldi[column].combine(&mut preconditioned[slot]);
+            slot += 1;
+        }
+        precondition(&mut preconditioned[..slot]);
+        slot = 0;
+        for column in 0..count {
+            if stepped(self, column) {
+                add_scaled(&mut self.solution[column], 1.0, &preconditioned[slot]);
+                slot += 1;
+                apply(&self.solution[column], &mut self.product);
+                for ((r, b), ax) in self.residual[column].iter_mut().zip(&right_hand_sides[column]).zip(&self.product) {
+                    *r = b - ax;
+                }
+                self.columns[column].residual_norm = dot(&self.residual[column], &self.residual[column]).sqrt();
+            }
+        }
+        self.preconditioned = preconditioned;
+    }
+
+    fn not_converged(&self, count: usize, iteration_count: usize, limits: KrylovLimits) -> LinearSolveError {
+        let relative = |column: &ColumnState| column.residual_norm / column.rhs_norm.max(f64::MIN_POSITIVE);
+        let (right_hand_side, relative_residual) = self.columns[..count]
+            .iter()
+            .map(relative)
+            .enumerate()
+            .fold((0, 0.0), |worst, next| if next.1 > worst.1 { next } else { worst });
+        let tolerance = limits.relative_tolerance;
+        LinearSolveError::NotConverged { right_hand_side, relative_residual, iteration_count, tolerance }
+    }
+
+    fn finish(&self, right_hand_sides: &mut [Field], iteration_count: usize) -> KrylovReport {
+        let mut relative_residual: f64 = 0.0;
+        for (column, rhs) in right_hand_sides.iter_mut().enumerate() {
+            rhs.copy_from_slice(&self.solution[column]);
+            let state = self.columns[column];
+            if state.rhs_norm > 0.0 {
+                relative_residual = relative_residual.max(state.residual_norm / state.rhs_norm);
+            }
+        }
+        KrylovReport { iteration_count, relative_residual }
+    }
+}
+
+impl Arnoldi {
+    fn begin(&mut self, residual: &[Vector3<f64>], norm: f64) {
+        self.step_count = 0;
+        self.triangle.clear();
+        self.rotations.clear();
+        self.rhs.clear();
+        self.rhs.push(norm);
+        self.keep(0, residual, if norm > 0.0 { 1.0 / norm } else { 0.0 });
+    }
+
+    fn keep(&mut self, index: usize, vector: &[Vector3<f64>], scale: f64) {
+        if self.basis.len() == index {
+            self.basis.push(Vec::new());
+        }
+        self.basis[index].clear();
+        self.basis[index].extend(vector.iter().map(|v| v * scale));
+    }
+
+    /// Orthogonalises A P⁻¹ v against the basis (modified Gram–Schmidt) and gives the new residual norm.
+    fn extend(&mut self, product: &mut [Vector3<f64>]) -> f64 {
+        let step = self.step_count;
+        let mut column = [0.0; RESTART + 1];
+        for (entry, vector) in column.iter_mut().zip(&self.basis[..=step]) {
+            *entry = dot(product, vector);
+            add_scaled(product, -*entry, vector);
+        }
+        let norm = dot(product, product).sqrt();
+        for (row, &(cosine, sine)) in self.rotations.iter().enumerate() {
+            let (upper, lower) = (column[row], column[row + 1]);
+            column[row] = cosine * upper + sine * lower;
+            column[row + 1] = cosine * lower - sine * upper;
+        }
+        let radius = column[step].hypot(norm);
+        let (cosine, sine) = if radius > 0.0 { (column[step] / radius, norm / radius) } else { (1.0, 0.0) };
+        column[step] = radius;
+        self.rotations.push((cosine, sine));
+        self.triangle.push(column);
+        let carried = self.rhs[step];
+        self.rhs[step] = cosine * carried;
+        self.rhs.push(-sine * carried);
+        self.keep(step + 1, product, if norm > 0.0 { 1.0 / norm } else { 0.0 });
+        self.step_count += 1;
+        self.rhs[step + 1].abs()
+    }
+
+    /// Σ yᵢ vᵢ with the least-squares y.
+    fn combine(&self, sum: &mut [Vector3<f64>]) {
+        sum.fill(Vector3::zeros());
+        let mut weights = [0.0; RESTART];
+        for row in (0..self.step_count).rev() {
+            let known: f64 = (row + 1..self.step_count).map(|column| self.triangle[column][row] * weights[column]).sum();
+            let pivot = self.triangle[row][row];
+            weights[row] = if pivot == 0.0 { 0.0 } else { (self.rhs[row] - known) / pivot };
+        }
+        for (weight, vector) in weights.iter().zip(&self.basis[..self.step_count]) {
+            add_scaled(sum, *weight, vector);
+        }
+    }
+}
+
+fn dot(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
+}
+
+fn add_scaled(sum: &mut [Vector3<f64>], factor: f64, add: &[Vector3<f64>]) {
+    for (sum, add) in sum.iter_mut().zip(add) {
+        *sum += add * factor;
+    }
+}
