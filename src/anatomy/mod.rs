@@ -1,9 +1,16 @@
 //! The patient's heart at rest: mesh, surfaces, cavities, regions, transmural depth and fibres, [Billet2009] §3.
 
+mod build;
 mod error;
+mod fibres;
+mod laplace;
 pub mod mesher;
+mod segments;
 
+pub use build::{AnatomySettings, build_lv, complete_lv};
 pub use error::AnatomyError;
+pub use fibres::FibreRule;
+pub use segments::DEFAULT_SEPTAL_DIRECTION;
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};

@@ -2,10 +2,12 @@
 
 mod cavity;
 mod error;
+mod quality;
 mod surface;
 mod tet_mesh;
 
 pub use cavity::Cavity;
 pub use error::MeshError;
+pub use quality::MeshQuality;
 pub use surface::{SurfaceTag, TaggedSurface};
 pub use tet_mesh::TetMesh;

@@ -81,6 +81,17 @@ impl TetMesh {
         signed_volume(self.corners_mm(tetrahedron))
     }
 
+    /// Gradients (1/mm) of the four linear shape functions of a tetrahedron: $\nabla\lambda_i$ points from the face opposite to corner i
+    /// towards it, with the length of the inverse of its height.
+    pub fn shape_gradients_per_mm(&self, tetrahedron: usize) -> [Vector3<f64>; 4] {
+        let [a, b, c, d] = self.corners_mm(tetrahedron);
+        let six_volumes = (b - a).cross(&(c - a)).dot(&(d - a));
+        let at_b = (c - a).cross(&(d - a)) / six_volumes;
+        let at_c = (d - a).cross(&(b - a)) / six_volumes;
+        let at_d = (b - a).cross(&(c - a)) / six_volumes;
+        [-(at_b + at_c + at_d), at_b, at_c, at_d]
+    }
+
     /// Volume of the whole mesh, mm³.
     pub fn total_volume_mm3(&self) -> f64 {
         (0..self.tetrahedron_count()).map(|t| self.volume_mm3(t)).sum()

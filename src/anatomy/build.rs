@@ -1,0 +1,142 @@
+//! From a wall's shape, or a tagged mesh, to a whole anatomy: depth, axes, fibres, segments, regions.
+
+use nalgebra::Vector3;
+
+use super::fibres::local_axes;
+use super::mesher::{MesherSettings, WallShape, mesh_wall};
+use super::segments::{aha_segment, cavity_depth_mm, heart_axes, region_of_segment};
+use super::{Anatomy, AnatomyError, DEFAULT_SEPTAL_DIRECTION, FibreRule, laplace};
+use crate::mesh::{MeshError, SurfaceTag, TaggedSurface, TetMesh};
+
+/// What a mesh alone does not say.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AnatomySettings {
+    /// Helix angles of the fibres.
+    pub fibres: FibreRule,
+    /// World direction from the LV towards the middle of the septum; any length, made orthogonal to the long axis. An LV-only geometry
+    /// does not show it, so the study gives it or takes [`DEFAULT_SEPTAL_DIRECTION`].
+    pub septal_direction: Vector3<f64>,
+}
+
+impl Default for AnatomySettings {
+    fn default() -> Self {
+        Self { fibres: FibreRule::default(), septal_direction: Vector3::from(DEFAULT_SEPTAL_DIRECTION) }
+    }
+}
+
+/// Meshes a left ventricle and completes it.
+///
+/// # Errors
+/// [`AnatomyError`] of the mesher or of [`complete_lv`].
+pub fn build_lv(shape: &WallShape, mesher: &MesherSettings, settings: &AnatomySettings) -> Result<Anatomy, AnatomyError> {
+    settings.fibres.check()?;
+    let (mesh, surface) = mesh_wall(shape, mesher)?;
+    complete_lv(mesh, surface, settings)
+}
+
+/// Completes a tagged mesh of a left ventricle, however it was made: transmural depth (Laplace: 0 on the endocardium, 1 on the
+/// epicardium), local axes, fibres, AHA segments and regions.
+///
+/// # Errors
+/// [`AnatomyError`] if a surface is missing, the cavity cannot be closed, an angle is out of range or the depth cannot be solved for.
+pub fn complete_lv(mesh: TetMesh, surface: TaggedSurface, settings: &AnatomySettings) -> Result<Anatomy, AnatomyError> {
+    settings.fibres.check()?;
+    let cavities = Anatomy::close_cavities(&surface)?;
+    let cavity = &cavities[0].1;
+    let axes = heart_axes(&mesh, cavity, &settings.septal_direction)?;
+    let transmural_depth = depth_between(&mesh, &surface, SurfaceTag::EndocardiumLv, SurfaceTag::Epicardium)?;
+    let cavity_depth_mm = cavity_depth_mm(&mesh, cavity, &axes);
+    let heart_axes: Vec<_> = laplace::gradients(&mesh, &transmural_depth).iter().map(|gradient| local_axes(gradient, &axes)).collect();
+    let mean_of = |corners: &[usize; 4]| corners.iter().map(|&vertex| transmural_depth[vertex]).sum::<f64>() / 4.0;
+    let fibre_axes =
+        mesh.tetrahedra().iter().zip(&heart_axes).map(|(corners, local)| settings.fibres.fibre_axes(local, mean_of(corners))).collect();
+    let centre = |t: usize| mesh.corners_mm(t).iter().sum::<Vector3<f64>>() / 4.0;
+    let aha_segments: Vec<u8> = (0..mesh.tetrahedron_count()).map(|t| aha_segment(&axes, cavity_depth_mm, &centre(t))).collect();
+    let regions = aha_segments.iter().map(|&segment| region_of_segment(segment)).collect();
+    Ok(Anatomy { mesh, surface, cavities, transmural_depth, fibre_axes, heart_axes, regions, aha_segments, axes })
+}
+
+/// The harmonic function that is 0 on one surface and 1 on another.
+fn depth_between(mesh: &TetMesh, surface: &TaggedSurface, inner: SurfaceTag, outer: SurfaceTag) -> Result<Vec<f64>, AnatomyError> {
+    let mut fixed = vec![None; mesh.vertex_count()];
+    for (tag, value) in [(outer, 1.0), (inner, 0.0)] {
+        let vertices = surface.vertices_with(tag);
+        if vertices.is_empty() {
+            return Err(MeshError::MissingSurface { tag }.into());
+        }
+        for vertex in vertices {
+            fixed[vertex] = Some(value);
+        }
+    }
+    laplace::harmonic(mesh, &fixed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::anatomy::{Region, Ventricle};
+
+    fn ellipsoidal_lv(edge_length_mm: f64) -> Anatomy {
+        let ellipsoid = |radius: f64, length: f64| {
+            move |p: &Vector3<f64>| ((p.x / radius).powi(2) + (p.y / radius).powi(2) + (p.z / length).powi(2)).sqrt() - 1.0
+        };
+        let (outer, inner) = (ellipsoid(35.0, 70.0), ellipsoid(25.0, 60.0));
+        let shape = WallShape {
+            epicardium: &outer,
+            cavities: vec![(Ventricle::Left, &inner)],
+            base_point_mm: Vector3::new(0.0, 0.0, 20.0),
+            base_normal: Vector3::z(),
+            bounds_mm: [Vector3::new(-36.0, -36.0, -71.0), Vector3::new(36.0, 36.0, 30.0)],
+        };
+        let settings = AnatomySettings { septal_direction: Vector3::x(), ..AnatomySettings::default() };
+        build_lv(&shape, &MesherSettings::with_edge_length_mm(edge_length_mm), &settings).unwrap()
+    }
+
+    #[test]
+    fn fibres_follow_the_rule_about_the_true_axis() {
+        let anatomy = ellipsoidal_lv(4.0);
+        assert!((anatomy.axes.long_axis - Vector3::z()).norm() < 0.02, "{:?}", anatomy.axes);
+        let rule = FibreRule::default();
+        for (t, corners) in anatomy.mesh.tetrahedra().iter().enumerate() {
+            let axes = anatomy.fibre_axes[t];
+            assert!((axes.transpose() * axes - nalgebra::Matrix3::identity()).norm() < 1e-12 && axes.determinant() > 0.0);
+            let centre = anatomy.mesh.corners_mm(t).iter().sum::<Vector3<f64>>() / 4.0;
+            if centre.z < -40.0 {
+                continue;
+            }
+            // Independent of the code's axes: anticlockwise about z, and the wall's meridian as the rest of the fibre.
+            let circumferential = Vector3::z().cross(&centre).normalize();
+            let depth = corners.iter().map(|&v| anatomy.transmural_depth[v]).sum::<f64>() / 4.0;
+            let fibre = axes.column(0).into_owned() * axes.column(0).dot(&circumferential).signum();
+            let angle_deg = fibre.z.atan2(fibre.dot(&circumferential)).to_degrees();
+            let expected_deg = rule.helix_angle_rad(depth).to_degrees();
+            assert!((angle_deg - expected_deg).abs() < 8.0, "{angle_deg} {expected_deg} at {centre}");
+        }
+    }
+
+    #[test]
+    fn segments_share_the_wall_evenly_round_the_axis() {
+        let anatomy = ellipsoidal_lv(5.0);
+        let mut volume_mm3 = [0.0; 18];
+        for (t, &segment) in anatomy.aha_segments.iter().enumerate() {
+            volume_mm3[usize::from(segment)] += anatomy.mesh.volume_mm3(t);
+        }
+        for ring in [1..7, 7..13, 13..17] {
+            let mean = volume_mm3[ring.clone()].iter().sum::<f64>() / ring.len() as f64;
+            assert!(volume_mm3[ring].iter().all(|v| (v / mean - 1.0).abs() < 0.1), "{volume_mm3:?}");
+        }
+        assert!(volume_mm3[0] == 0.0 && volume_mm3[17] > 0.0);
+        let septum: f64 =
+            (0..anatomy.regions.len()).filter(|&t| anatomy.regions[t] == Region::Septum).map(|t| anatomy.mesh.volume_mm3(t)).sum();
+        let share = septum / anatomy.mesh.total_volume_mm3();
+        assert!((0.25..0.36).contains(&share), "{share}");
+    }
+
+    #[test]
+    fn a_septal_direction_along_the_axis_is_refused() {
+        let anatomy = ellipsoidal_lv(6.0);
+        let settings = AnatomySettings { septal_direction: Vector3::z(), ..AnatomySettings::default() };
+        let error = complete_lv(anatomy.mesh, anatomy.surface, &settings).unwrap_err();
+        assert!(matches!(error, AnatomyError::Setting { .. }), "{error}");
+    }
+}
