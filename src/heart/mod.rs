@@ -1,5 +1,23 @@
 //! The coupled heart: parameters, model, step, beat and observables, [Billet2009] §2.
 
+mod base_motion;
+mod error;
+#[cfg(test)]
+mod idealised_lv;
+mod model;
+mod observables;
+mod onset;
 mod parameters;
+mod simulate;
+mod state;
+mod step;
 
+pub use base_motion::BaseMotion;
+pub use error::{HeartError, StepError};
+pub use model::{HeartModel, ModelSettings};
+pub use observables::BeatObservables;
+pub use onset::OnsetSites;
 pub use parameters::{OutOfRange, Parameter, ParameterSpec, Parameters, Section};
+pub use simulate::{FrameState, SimulationPlan, Trajectory, simulate, simulate_from};
+pub use state::{CurveRow, HeartState, VentricleCurve, VentricleState};
+pub use step::{StepOutcome, StepWorkspace};

@@ -1,0 +1,112 @@
+//! Beats: steps from a start to an end, the curves they leave and the frames at the times of the images.
+
+use std::ops::ControlFlow;
+
+use nalgebra::Vector3;
+
+use super::{CurveRow, HeartModel, HeartState, StepError};
+use crate::mechanics::StepLoad;
+use crate::units::ml_from_mm3;
+
+/// From when to when a heart beats, and at which instants it is looked at.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SimulationPlan {
+    /// Start, s; the mesh rests there.
+    pub start_time_s: f64,
+    /// End, s; the last step reaches or passes it.
+    pub end_time_s: f64,
+    /// Instants of the frames, s, ascending; those outside the simulation give no frame.
+    pub frame_times_s: Vec<f64>,
+}
+
+/// The heart at the time of an image, interpolated linearly between two steps.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameState {
+    /// Time, s.
+    pub time_s: f64,
+    /// Position of every vertex, mm.
+    pub position_mm: Vec<Vector3<f64>>,
+    /// Cavity volumes, mL, left first.
+    pub volume_ml: Vec<f64>,
+    /// Cavity pressures, kPa, left first.
+    pub pressure_kpa: Vec<f64>,
+}
+
+/// What a simulation leaves.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trajectory {
+    /// One row a step, the start first.
+    pub curves: Vec<CurveRow>,
+    /// One a frame time within the simulation.
+    pub frames: Vec<FrameState>,
+    /// Where it ended.
+    pub last: HeartState,
+    /// Whether the observer stopped it before its end.
+    pub stopped: bool,
+}
+
+/// Beats a heart under the loads of data (none for the free heart) from its rest at the start of the plan. `observer` sees the start and
+/// every step and may stop.
+///
+/// # Errors
+/// The [`StepError`] of the first step that fails.
+pub fn simulate(
+    model: &HeartModel,
+    plan: &SimulationPlan,
+    loads: &[&dyn StepLoad],
+    observer: &mut dyn FnMut(&HeartState, &CurveRow) -> ControlFlow<()>,
+) -> Result<Trajectory, StepError> {
+    simulate_from(model, model.initial_state(plan.start_time_s), plan, loads, observer)
+}
+
+/// Beats a heart on from any state; the plan's start time is that of the state.
+///
+/// # Errors
+/// As [`simulate`].
+pub fn simulate_from(
+    model: &HeartModel,
+    start: HeartState,
+    plan: &SimulationPlan,
+    loads: &[&dyn StepLoad],
+    observer: &mut dyn FnMut(&HeartState, &CurveRow) -> ControlFlow<()>,
+) -> Result<Trajectory, StepError> {
+    let step_s = model.settings().step_s;
+    let step_count = ((plan.end_time_s - start.time_s) / step_s - 1e-9).ceil().max(0.0) as usize;
+    let mut workspace = model.workspace();
+    let first_frame_s = start.time_s - 1e-9 * step_s;
+    let mut frame_times = plan.frame_times_s.iter().copied().filter(|&t| t >= first_frame_s).peekable();
+    let mut trajectory = Trajectory { curves: Vec::with_capacity(step_count + 1), frames: Vec::new(), last: start, stopped: false };
+    trajectory.curves.push(trajectory.last.curve_row());
+    trajectory.stopped = observer(&trajectory.last, &trajectory.curves[0]).is_break();
+    for _ in 0..step_count {
+        if trajectory.stopped {
+            break;
+        }
+        let next = model.step(&trajectory.last, loads, &mut workspace)?.state;
+        while let Some(time_s) = frame_times.next_if(|&t| t <= next.time_s + 1e-9 * step_s) {
+            trajectory.frames.push(FrameState::between(&trajectory.last, &next, time_s));
+        }
+        trajectory.last = next;
+        let row = trajectory.last.curve_row();
+        trajectory.curves.push(row);
+        trajectory.stopped = observer(&trajectory.last, &row).is_break();
+    }
+    Ok(trajectory)
+}
+
+impl FrameState {
+    /// The heart between two states.
+    fn between(before: &HeartState, after: &HeartState, time_s: f64) -> Self {
+        let weight = ((time_s - before.time_s) / (after.time_s - before.time_s)).clamp(0.0, 1.0);
+        let pairs = before.motion.position_mm.iter().zip(&after.motion.position_mm);
+        let mixed = |value: fn(&super::VentricleState) -> f64| {
+            before.ventricles.iter().zip(&after.ventricles).map(|(b, a)| value(b) + (value(a) - value(b)) * weight).collect()
+        };
+        Self {
+            time_s,
+            position_mm: pairs.map(|(b, a)| b + (a - b) * weight).collect(),
+            volume_ml: mixed(|state| ml_from_mm3(state.volume_mm3)),
+            pressure_kpa: mixed(|state| state.pressure_kpa),
+        }
+    }
+}

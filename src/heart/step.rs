@@ -1,0 +1,249 @@
+//! One coupled step: muscle, springs, data and valves at once, [Billet2009] §2.
+//!
+//! With all forces but the cavity pressures on the right, the position at the end of the step is affine in the pressures,
+//!
+//! $$Y(p) = y_0 + \sum_k p_k W_k, \qquad y_0 = \tilde K^{-1} F, \quad W_k = \tilde K^{-1} \partial_y V_k(Y^*),$$
+//!
+//! so the cavities answer as $V_k(p) = V_k(Y^*) + \partial_y V_k \cdot (Y(p) - Y^*)$, and the valves give the pressures. The volume is
+//! cubic in $Y$: the linearisation point $Y^*$ moves to $Y(p)$ until the volumes are those that the valves let through.
+
+use nalgebra::{DMatrix, DVector, Vector3};
+
+use super::{HeartModel, HeartState, StepError, VentricleState};
+use crate::circulation::{CavityResponse, CirculationError, ValveProblem, VentricleFlow, VentriclePorts};
+use crate::mechanics::{MechanicsError, SolveReport, StepLoad, StepSolver, StepSystem};
+use crate::units::{MM3_PER_ML, mm3_from_ml};
+
+/// Rounds of the volume linearisation before a step is given up; 2–4 are usual.
+const ROUND_LIMIT: usize = 25;
+
+/// Farther from rest than this a vertex counts as blown up, mm.
+const DISTANCE_LIMIT_MM: f64 = 500.0;
+
+/// Memory of one thread that steps a heart.
+#[derive(Debug)]
+pub struct StepWorkspace {
+    solver: StepSolver,
+    system: StepSystem,
+    anchors_mm: Vec<Vector3<f64>>,
+    fraction: Vec<f64>,
+    stress_kpa: Vec<f64>,
+    /// y₀, mm.
+    free_mm: Vec<Vector3<f64>>,
+    /// Y*, then Y, mm.
+    trial_mm: Vec<Vector3<f64>>,
+    /// ∂V at Y*, mm², one a cavity.
+    gradients_mm2: Vec<Vec<Vector3<f64>>>,
+    /// W, mm/kPa, one a cavity.
+    yields_mm_per_kpa: Vec<Vec<Vector3<f64>>>,
+}
+
+/// The end of a step and the work it took.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StepOutcome {
+    /// The heart at the end of the step.
+    pub state: HeartState,
+    /// Rounds of the volume linearisation.
+    pub round_count: usize,
+    /// Largest difference between a cavity's volume and what its valves let through, mL.
+    pub volume_defect_ml: f64,
+    /// How the system was solved the first time.
+    pub solve: SolveReport,
+}
+
+impl HeartModel {
+    /// Memory for stepping this heart; one a thread.
+    pub fn workspace(&self) -> StepWorkspace {
+        let zeros = || vec![Vector3::zeros(); self.anatomy.mesh.vertex_count()];
+        StepWorkspace {
+            solver: StepSolver::default(),
+            system: self.operator.empty_system(),
+            anchors_mm: Vec::new(),
+            fraction: Vec::new(),
+            stress_kpa: Vec::new(),
+            free_mm: zeros(),
+            trial_mm: zeros(),
+            gradients_mm2: self.ventricles.iter().map(|_| zeros()).collect(),
+            yields_mm_per_kpa: self.ventricles.iter().map(|_| zeros()).collect(),
+        }
+    }
+
+    /// One step of the model's length from `state` under the loads of data: (K̃ + K_img) Y = F + F̃_img, [Billet2009] §4.2.
+    ///
+    /// # Errors
+    /// [`StepError`] with the time, if a system cannot be solved, the volumes are not met, or the motion blows up.
+    pub fn step(&self, state: &HeartState, data: &[&dyn StepLoad], workspace: &mut StepWorkspace) -> Result<StepOutcome, StepError> {
+        let (time_s, step_s) = (state.time_s, self.settings.step_s);
+        let mechanics = |source: MechanicsError| StepError::Mechanics { time_s, step_s, source };
+        let circulation = |source: CirculationError| StepError::Circulation { time_s, step_s, source };
+        self.assemble(state, data, workspace).map_err(mechanics)?;
+        let ports = self.ports(state);
+        let before_mm3: Vec<f64> = state.ventricles.iter().map(|ventricle| ventricle.volume_mm3).collect();
+        workspace.predict(state, step_s);
+        let mut solve = self.solve_free(workspace).map_err(mechanics)?;
+        let mut defect_mm3 = f64::INFINITY;
+        for round_count in 1..=ROUND_LIMIT {
+            if round_count > 1 {
+                let again = self.solve_yields(workspace).map_err(mechanics)?;
+                solve.iteration_count += again.iteration_count;
+            }
+            let response = self.cavity_response(workspace);
+            let valves = ValveProblem::new(&response, &before_mm3, &ports, self.valve_resistance(), step_s).map_err(circulation)?;
+            let flows = valves.solve().map_err(circulation)?;
+            workspace.move_trial(&flows);
+            self.check_distance(state, &workspace.trial_mm)?;
+            let after_mm3 = self.volumes_mm3(&workspace.trial_mm);
+            defect_mm3 =
+                (0..flows.len()).map(|v| (after_mm3[v] - before_mm3[v] + net_outflow_mm3(&flows[v], step_s)).abs()).fold(0.0, f64::max);
+            if defect_mm3 <= mm3_from_ml(self.settings.volume_tolerance_ml) {
+                let state = self.next_state(state, workspace, &flows, &after_mm3);
+                return Ok(StepOutcome { state, round_count, volume_defect_ml: defect_mm3 / MM3_PER_ML, solve });
+            }
+        }
+        Err(StepError::VolumeNotMet { time_s, step_s, round_count: ROUND_LIMIT, volume_defect_ml: defect_mm3 / MM3_PER_ML })
+    }
+
+    /// All that does not depend on the cavity pressures: F + F̃_img and K_img.
+    fn assemble(&self, state: &HeartState, data: &[&dyn StepLoad], workspace: &mut StepWorkspace) -> Result<(), MechanicsError> {
+        let step_s = self.settings.step_s;
+        let end_s = state.time_s + step_s;
+        let StepWorkspace { system, anchors_mm, fraction, stress_kpa, .. } = workspace;
+        let anchors = self.settings.base_motion.as_ref().map(|motion| {
+            motion.position_mm(end_s, anchors_mm);
+            anchors_mm.as_slice()
+        });
+        self.operator.assemble(&state.motion, anchors, system)?;
+        self.write_active_stress(end_s, fraction, stress_kpa);
+        self.operator.myocardium().add_contraction_force(stress_kpa, &mut system.force_mn)?;
+        for (model, ventricle) in self.ventricles.iter().zip(&state.ventricles) {
+            for (force, gradient) in system.force_mn.iter_mut().zip(model.rest_gradient_mm2.iter()) {
+                *force -= gradient * ventricle.rest_pressure_kpa;
+            }
+        }
+        for load in data {
+            load.add_to(&state.motion, state.time_s, step_s, system);
+        }
+        Ok(())
+    }
+
+    /// y₀ and the first W together: one pass over the factor.
+    fn solve_free(&self, workspace: &mut StepWorkspace) -> Result<SolveReport, MechanicsError> {
+        self.write_gradients(workspace);
+        let StepWorkspace { solver, system, free_mm, trial_mm, gradients_mm2, yields_mm_per_kpa, .. } = workspace;
+        free_mm.copy_from_slice(trial_mm);
+        copy_columns(gradients_mm2, yields_mm_per_kpa);
+        solver.solve(&self.operator, system, free_mm, yields_mm_per_kpa)
+    }
+
+    /// W at a new Y*.
+    fn solve_yields(&self, workspace: &mut StepWorkspace) -> Result<SolveReport, MechanicsError> {
+        self.write_gradients(workspace);
+        let StepWorkspace { solver, system, gradients_mm2, yields_mm_per_kpa, .. } = workspace;
+        copy_columns(gradients_mm2, yields_mm_per_kpa);
+        solver.solve_responses(&self.operator, &system.stiffness_mn_per_mm, yields_mm_per_kpa)
+    }
+
+    fn write_gradients(&self, workspace: &mut StepWorkspace) {
+        for ((_, cavity), gradient) in self.anatomy.cavities.iter().zip(&mut workspace.gradients_mm2) {
+            gradient.fill(Vector3::zeros());
+            cavity.add_gradient(&workspace.trial_mm, 1.0, gradient);
+        }
+    }
+
+    /// V_k(p) = V_k(Y*) + ∂V_k·(y₀ − Y*) + Σ_l p_l ∂V_k·W_l.
+    fn cavity_response(&self, workspace: &StepWorkspace) -> CavityResponse {
+        let StepWorkspace { free_mm, trial_mm, gradients_mm2, yields_mm_per_kpa, .. } = workspace;
+        let count = gradients_mm2.len();
+        let mut volume_mm3 = DVector::from_vec(self.volumes_mm3(trial_mm));
+        for (volume, gradient) in volume_mm3.iter_mut().zip(gradients_mm2) {
+            *volume += gradient.iter().zip(free_mm).zip(trial_mm).map(|((g, free), trial)| g.dot(&(free - trial))).sum::<f64>();
+        }
+        let compliance = DMatrix::from_fn(count, count, |k, l| dot(&gradients_mm2[k], &yields_mm_per_kpa[l]));
+        // Where the data's stiffness is not symmetric, or solved for iteratively, C is symmetric to that extent only.
+        let compliance_mm3_per_kpa = (&compliance + compliance.transpose()) * 0.5;
+        CavityResponse { volume_mm3, compliance_mm3_per_kpa }
+    }
+
+    fn volumes_mm3(&self, position_mm: &[Vector3<f64>]) -> Vec<f64> {
+        self.anatomy.cavities.iter().map(|(_, cavity)| cavity.volume_mm3(position_mm)).collect()
+    }
+
+    fn ports(&self, state: &HeartState) -> Vec<VentriclePorts> {
+        let step_s = self.settings.step_s;
+        let port = |(model, ventricle): (&super::model::VentricleModel, &VentricleState)| VentriclePorts {
+            atrial_pressure_kpa: model.atrium.pressure_kpa(state.time_s + step_s),
+            artery: model.artery.response(ventricle.capacitor_pressure_kpa, step_s),
+        };
+        self.ventricles.iter().zip(&state.ventricles).map(port).collect()
+    }
+
+    fn check_distance(&self, state: &HeartState, position_mm: &[Vector3<f64>]) -> Result<(), StepError> {
+        for (vertex, (y, x)) in position_mm.iter().zip(self.anatomy.mesh.vertices_mm()).enumerate() {
+            let distance_mm = (y - x).norm();
+            if distance_mm.is_nan() || distance_mm > DISTANCE_LIMIT_MM {
+                return Err(StepError::BlownUp { time_s: state.time_s, step_s: self.settings.step_s, vertex, distance_mm });
+            }
+        }
+        Ok(())
+    }
+
+    fn next_state(&self, state: &HeartState, workspace: &StepWorkspace, flows: &[VentricleFlow], volumes_mm3: &[f64]) -> HeartState {
+        let step_s = self.settings.step_s;
+        let time_s = state.time_s + step_s;
+        let advance = |(ventricle, before): (usize, &VentricleState)| {
+            let (model, flow) = (&self.ventricles[ventricle], &flows[ventricle]);
+            let capacitor_pressure_kpa = model.artery.advance_kpa(before.capacitor_pressure_kpa, flow.outflow_ml_per_s, step_s);
+            VentricleState {
+                volume_mm3: volumes_mm3[ventricle],
+                pressure_kpa: flow.pressure_kpa,
+                capacitor_pressure_kpa,
+                arterial_pressure_kpa: model.artery.arterial_pressure_kpa(capacitor_pressure_kpa, flow.outflow_ml_per_s),
+                atrial_pressure_kpa: model.atrium.pressure_kpa(time_s),
+                outflow_ml_per_s: flow.outflow_ml_per_s,
+                inflow_ml_per_s: flow.inflow_ml_per_s,
+                phase: before.phase.after(flow.open),
+                ..*before
+            }
+        };
+        HeartState {
+            time_s,
+            motion: self.operator.advance(&state.motion, workspace.trial_mm.clone()),
+            ventricles: state.ventricles.iter().enumerate().map(advance).collect(),
+        }
+    }
+}
+
+impl StepWorkspace {
+    /// Y* of the first round: the motion goes on as it is.
+    fn predict(&mut self, state: &HeartState, step_s: f64) {
+        let moving = state.motion.position_mm.iter().zip(&state.motion.velocity_mm_per_s);
+        for (trial, (y, v)) in self.trial_mm.iter_mut().zip(moving) {
+            *trial = y + v * step_s;
+        }
+    }
+
+    /// Y = y₀ + Σ p W.
+    fn move_trial(&mut self, flows: &[VentricleFlow]) {
+        self.trial_mm.copy_from_slice(&self.free_mm);
+        for (flow, yields) in flows.iter().zip(&self.yields_mm_per_kpa) {
+            for (trial, yielded) in self.trial_mm.iter_mut().zip(yields) {
+                *trial += yielded * flow.pressure_kpa;
+            }
+        }
+    }
+}
+
+/// h (q_out − q_in), mm³.
+fn net_outflow_mm3(flow: &VentricleFlow, step_s: f64) -> f64 {
+    mm3_from_ml((flow.outflow_ml_per_s - flow.inflow_ml_per_s) * step_s)
+}
+
+fn copy_columns(from: &[Vec<Vector3<f64>>], to: &mut [Vec<Vector3<f64>>]) {
+    for (from, to) in from.iter().zip(to) {
+        to.copy_from_slice(from);
+    }
+}
+
+fn dot(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
+}
