@@ -24,4 +24,7 @@ pub enum ImageError {
     /// Frames, times or grids of a cine sequence contradict each other.
     #[error("the cine sequence is inconsistent: {reason}")]
     InconsistentCine { reason: String },
+    /// A label map does not describe a ventricle.
+    #[error("the labels cannot be used: {reason}")]
+    UnusableMask { reason: String },
 }

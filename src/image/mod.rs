@@ -12,7 +12,7 @@ mod volume;
 pub use cine::CineSequence;
 pub use error::ImageError;
 pub use grid::Grid;
-pub use mask::{Plane, VentricleFields};
+pub use mask::{ApexEnd, BaseCut, FieldOptions, FieldReport, Plane, VentricleCodes, VentricleFields, enclosed_volume_ml, ventricle_fields};
 pub use nifti::{CineReading, NiftiImage, read_cine, read_label_map, read_label_maps, read_nifti};
 pub use sampling::CineInstant;
 pub use timing::CineTiming;
