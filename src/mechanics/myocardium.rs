@@ -202,8 +202,7 @@ fn check_axes(mesh: &TetMesh, fibre_axes: &[Matrix3<f64>]) -> Result<(), Mechani
     check_size("fibre axes, one a tetrahedron", mesh.tetrahedron_count(), fibre_axes.len())?;
     for (tetrahedron, axes) in fibre_axes.iter().enumerate() {
         let defect = (axes.transpose() * axes - Matrix3::identity()).norm();
-        // Written so that a NaN is refused.
-        if !(defect < AXES_TOLERANCE) {
+        if defect.is_nan() || defect > AXES_TOLERANCE {
             return Err(MechanicsError::FibreAxes { tetrahedron, defect });
         }
     }

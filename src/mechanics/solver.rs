@@ -93,7 +93,10 @@ impl StepSolver {
         check_size("positions, one a vertex", count, position_mm.len())?;
         check_size("forces, one a vertex", count, system.force_mn.len())?;
         // The correction of the guess is solved for: its residual is small from the start, and coordinates do not enter it.
-        let mut columns = self.take_columns(1 + responses.len(), responses)?;
+        for response in responses.iter() {
+            check_size("responses, one vector a vertex", count, response.len())?;
+        }
+        let mut columns = self.take_columns(responses);
         columns[0].resize(count, Vector3::zeros());
         apply(operator, &system.stiffness_mn_per_mm, position_mm, &mut columns[0]);
         for (residual, force) in columns[0].iter_mut().zip(&system.force_mn) {
@@ -127,16 +130,14 @@ impl StepSolver {
     }
 
     /// Copies the responses behind a first, free column.
-    fn take_columns(&mut self, count: usize, responses: &[Vec<Vector3<f64>>]) -> Result<Vec<Vec<Vector3<f64>>>, MechanicsError> {
+    fn take_columns(&mut self, responses: &[Vec<Vector3<f64>>]) -> Vec<Vec<Vector3<f64>>> {
         let mut columns = std::mem::take(&mut self.columns);
-        columns.resize_with(count.max(columns.len()), Vec::new);
-        let expected = responses.first().map_or(0, Vec::len);
+        columns.resize_with(columns.len().max(1 + responses.len()), Vec::new);
         for (column, response) in columns[1..].iter_mut().zip(responses) {
-            check_size("responses, one vector a vertex", expected, response.len())?;
             column.clear();
             column.extend_from_slice(response);
         }
-        Ok(columns)
+        columns
     }
 
     fn solve_columns(
@@ -160,7 +161,7 @@ impl StepSolver {
     }
 
     fn solve_directly(&mut self, operator: &StepOperator, columns: &mut [Vec<Vector3<f64>>]) -> Result<SolveReport, MechanicsError> {
-        operator.factor().solve_in_place(columns, &mut self.cholesky);
+        operator.factor().solve_in_place(columns, &mut self.cholesky)?;
         for (right_hand_side, column) in columns.iter().enumerate() {
             if !column.iter().all(|v| v.iter().all(|c| c.is_finite())) {
                 return Err(LinearSolveError::NotFinite { right_hand_side }.into());

@@ -146,11 +146,22 @@ impl CholeskyFactor {
 
     /// Solves $A x = b$ for several right-hand sides at once, in place, one vector a vertex each. One pass over the factor
     /// serves all of them, so many cost little more than one.
-    pub fn solve_in_place(&self, right_hand_sides: &mut [Vec<Vector3<f64>>], workspace: &mut CholeskyWorkspace) {
+    ///
+    /// # Errors
+    /// [`LinearSolveError::Size`] if a right-hand side has not one vector a vertex.
+    pub fn solve_in_place(
+        &self,
+        right_hand_sides: &mut [Vec<Vector3<f64>>],
+        workspace: &mut CholeskyWorkspace,
+    ) -> Result<(), LinearSolveError> {
         let unknown_count = self.structure.symbolic.nrows();
         let column_count = right_hand_sides.len();
+        let expected = self.structure.pattern.vertex_count();
+        if let Some(wrong) = right_hand_sides.iter().find(|column| column.len() != expected) {
+            return Err(LinearSolveError::Size { what: "vectors of a right-hand side", expected, found: wrong.len() });
+        }
         if column_count == 0 || unknown_count == 0 {
-            return;
+            return Ok(());
         }
         let columns = &mut workspace.columns;
         columns.clear();
@@ -163,6 +174,7 @@ impl CholeskyFactor {
         for (target, value) in right_hand_sides.iter_mut().flat_map(|column| column.iter_mut()).zip(solved) {
             *target = value;
         }
+        Ok(())
     }
 }
 
@@ -298,7 +310,7 @@ mod tests {
                 .map(|b| lu.solve(&DVector::from_iterator(3 * count, b.iter().flat_map(|v| v.iter().copied()))).unwrap())
                 .to_vec();
             let mut columns = [first, second];
-            factor.solve_in_place(&mut columns, &mut workspace);
+            factor.solve_in_place(&mut columns, &mut workspace).unwrap();
             for (solution, expected) in columns.iter().zip(&expected) {
                 for (vertex, value) in solution.iter().enumerate() {
                     assert!((value - expected.fixed_rows::<3>(3 * vertex)).norm() < 1e-12 * expected.norm());

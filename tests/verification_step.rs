@@ -1,0 +1,276 @@
+//! The step system: backward Euler's amplitude, solves against dense algebra, and what repeated solves may depend on.
+
+use std::sync::Arc;
+
+use cardiotwin::mechanics::{
+    MechanicsError, MotionState, Myocardium, PassiveProperties, SolvePath, SolveSettings, StepOperator, StepSolver, StepSystem,
+};
+use cardiotwin::mesh::{SurfaceTag, TaggedSurface, TetMesh};
+use cardiotwin::numerics::LinearSolveError;
+use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
+
+const PROPERTIES: PassiveProperties = PassiveProperties {
+    fibre_stiffness_kpa: 30.0,
+    transverse_stiffness_kpa: 20.0,
+    poisson_ratio: 0.4,
+    density_kg_per_mm3: 1.06e-6,
+    damping_mass_per_s: 10.0,
+    damping_stiffness_s: 0.01,
+    base_stiffness_normal_kpa_per_mm: 2.5,
+    base_stiffness_isotropic_kpa_per_mm: 0.25,
+    pericardium_stiffness_kpa_per_mm: 0.075,
+    pericardium_damping_kpa_s_per_mm: 0.005,
+};
+
+/// A block of `edge`³ cells of 3 mm, six tetrahedra each, its face x = 0 the base, the rest epicardium; fibres turn through it.
+fn tissue(edge: usize, properties: &PassiveProperties) -> Arc<Myocardium> {
+    let index = |corner: [usize; 3]| (corner[0] * (edge + 1) + corner[1]) * (edge + 1) + corner[2];
+    let mut vertices_mm = vec![Vector3::zeros(); (edge + 1).pow(3)];
+    let mut tetrahedra = vec![];
+    for code in 0..(edge + 1).pow(3) {
+        let corner = [code / (edge + 1).pow(2), code / (edge + 1) % (edge + 1), code % (edge + 1)];
+        vertices_mm[code] = Vector3::from(corner.map(|i| 3.0 * i as f64));
+        if corner.contains(&edge) {
+            continue;
+        }
+        for (first, second, is_even) in [(0, 1, true), (1, 2, true), (2, 0, true), (1, 0, false), (2, 1, false), (0, 2, false)] {
+            let (mut one, mut two) = (corner, corner);
+            one[first] += 1;
+            two[first] += 1;
+            two[second] += 1;
+            let (one, two, opposite) = (index(one), index(two), index(corner.map(|i| i + 1)));
+            tetrahedra.push(if is_even { [code, one, two, opposite] } else { [code, two, one, opposite] });
+        }
+    }
+    let mesh = TetMesh::new(vertices_mm, tetrahedra).unwrap();
+    let is_base = |t: &[usize; 3]| t.iter().all(|&v| mesh.vertices_mm()[v].x == 0.0);
+    let tag = |t: &[usize; 3]| if is_base(t) { SurfaceTag::Base } else { SurfaceTag::Epicardium };
+    let surface = TaggedSurface::new(&mesh, mesh.boundary_triangles().iter().map(tag).collect()).unwrap();
+    let axes: Vec<Matrix3<f64>> =
+        (0..mesh.tetrahedron_count()).map(|t| *Rotation3::from_euler_angles(0.1 * t as f64, 0.2, 0.3).matrix()).collect();
+    Arc::new(Myocardium::new(&mesh, &surface, &axes, properties).unwrap())
+}
+
+fn wobble(vertex: usize) -> Vector3<f64> {
+    let v = vertex as f64;
+    Vector3::new(v.sin(), (1.7 * v).cos(), (0.3 * v).sin())
+}
+
+/// A moving state and the system of its next step with a surface stiffness of the given kind.
+fn loaded_system(operator: &StepOperator, block: impl Fn(usize) -> Matrix3<f64>) -> (MotionState, StepSystem) {
+    let rest = operator.myocardium().rest_mm();
+    let mut state = MotionState::at_rest(rest.iter().enumerate().map(|(v, x)| x + wobble(v) * 0.05).collect());
+    state.velocity_mm_per_s = (0..rest.len()).map(|v| wobble(v + 9) * 20.0).collect();
+    let mut system = operator.empty_system();
+    operator.assemble(&state, None, &mut system).unwrap();
+    for vertex in (0..rest.len()).step_by(2) {
+        let stiffness = block(vertex);
+        system.stiffness_mn_per_mm[vertex] = stiffness;
+        system.force_mn[vertex] += stiffness * (rest[vertex] + wobble(vertex + 3));
+    }
+    (state, system)
+}
+
+fn normal_spring(vertex: usize) -> Matrix3<f64> {
+    let normal = wobble(vertex).normalize();
+    normal * normal.transpose() * 40.0
+}
+
+/// 2γ(I − B) with B = I − N N_imgᵀ/(N·N_img), MODEL §7.
+fn exact_image_block(vertex: usize) -> Matrix3<f64> {
+    let normal = wobble(vertex).normalize();
+    let image_normal = (normal + wobble(vertex + 1).normalize() * 0.3).normalize();
+    normal * image_normal.transpose() * (40.0 / normal.dot(&image_normal))
+}
+
+fn dense_of(operator: &StepOperator, system: &StepSystem) -> DMatrix<f64> {
+    let count = operator.myocardium().vertex_count();
+    let pattern = operator.matrix().pattern();
+    let mut dense = DMatrix::zeros(3 * count, 3 * count);
+    for row in 0..count {
+        for &column in pattern.columns_of(row) {
+            let position = pattern.position(row, column).unwrap();
+            dense.fixed_view_mut::<3, 3>(3 * row, 3 * column).copy_from(&operator.matrix().blocks()[position]);
+        }
+        let mut diagonal = dense.fixed_view_mut::<3, 3>(3 * row, 3 * row);
+        diagonal += system.stiffness_mn_per_mm[row];
+    }
+    dense
+}
+
+fn flat(field: &[Vector3<f64>]) -> DVector<f64> {
+    DVector::from_iterator(3 * field.len(), field.iter().flat_map(|v| v.iter().copied()))
+}
+
+#[test]
+fn every_path_agrees_with_dense_lu() {
+    let operator = StepOperator::new(tissue(3, &PROPERTIES), 0.005).unwrap();
+    let count = operator.myocardium().vertex_count();
+    let paths: [(SolvePath, &dyn Fn(usize) -> Matrix3<f64>); 3] = [
+        (SolvePath::Direct, &|_| Matrix3::zeros()),
+        (SolvePath::ConjugateGradients, &normal_spring),
+        (SolvePath::Gmres, &exact_image_block),
+    ];
+    for (path, block) in paths {
+        let (state, system) = loaded_system(&operator, block);
+        let gradient: Vec<Vector3<f64>> = (0..count).map(|v| wobble(v + 5)).collect();
+        let mut position = state.position_mm.clone();
+        let mut responses = vec![gradient.clone()];
+        let mut solver = StepSolver::new(SolveSettings { relative_tolerance: 1e-11, ..SolveSettings::default() });
+        let report = solver.solve(&operator, &system, &mut position, &mut responses).unwrap();
+        assert_eq!(report.path, path);
+        let lu = dense_of(&operator, &system).lu();
+        for (solution, rhs) in [(&position, &system.force_mn), (&responses[0], &gradient)] {
+            let expected = lu.solve(&flat(rhs)).unwrap();
+            assert!((flat(solution) - &expected).norm() < 1e-9 * expected.norm(), "{path:?}");
+        }
+    }
+}
+
+/// Symmetric blocks with negative eigenvalues make the sum indefinite: the answer must still be that of dense algebra.
+#[test]
+fn an_indefinite_system_falls_back_to_gmres() {
+    let operator = StepOperator::new(tissue(2, &PROPERTIES), 0.005).unwrap();
+    let (state, system) = loaded_system(&operator, |vertex| Matrix3::identity() * if vertex == 4 { -4e3 } else { 1.0 });
+    let mut position = state.position_mm.clone();
+    let report = StepSolver::default().solve(&operator, &system, &mut position, &mut []).unwrap();
+    assert_eq!(report.path, SolvePath::Gmres);
+    let expected = dense_of(&operator, &system).lu().solve(&flat(&system.force_mn)).unwrap();
+    assert!((flat(&position) - &expected).norm() < 1e-6 * expected.norm());
+}
+
+/// A steady load must not cost more and more: the preconditioner of the first step serves the following ones.
+#[test]
+fn the_preconditioner_is_kept_while_it_serves_and_renewed_when_it_does_not() {
+    let operator = StepOperator::new(tissue(6, &PROPERTIES), 0.005).unwrap();
+    let settings = SolveSettings { refactor_above: 4, ..SolveSettings::default() };
+    let mut solver = StepSolver::new(settings);
+    let mut solve = |gain: f64| {
+        let (state, system) = loaded_system(&operator, |vertex| normal_spring(vertex) * gain);
+        solver.solve(&operator, &system, &mut state.position_mm.clone(), &mut []).unwrap()
+    };
+    let first = solve(1.0);
+    assert!(first.was_refactorised && first.iteration_count <= 2, "{first:?}");
+    let near = solve(1.05);
+    assert!(!near.was_refactorised && near.iteration_count <= 5, "{near:?}");
+    let far = solve(50.0);
+    assert!(!far.was_refactorised && far.iteration_count > 4, "{far:?}");
+    let renewed = solve(50.0);
+    assert!(renewed.was_refactorised && renewed.iteration_count <= 2, "{renewed:?}");
+}
+
+#[test]
+fn a_solve_that_may_not_iterate_fails_with_its_residual_and_count() {
+    let operator = StepOperator::new(tissue(3, &PROPERTIES), 0.005).unwrap();
+    let mut solver = StepSolver::new(SolveSettings { iteration_limit: 2, ..SolveSettings::default() });
+    let (state, system) = loaded_system(&operator, exact_image_block);
+    let error = solver.solve(&operator, &system, &mut state.position_mm.clone(), &mut []).unwrap_err();
+    let MechanicsError::Solve(LinearSolveError::NotConverged { relative_residual, iteration_count, .. }) = error else {
+        panic!("{error}");
+    };
+    assert_eq!(iteration_count, 2);
+    assert!(relative_residual > 1e-8 && relative_residual < 1.0);
+}
+
+#[test]
+fn a_force_that_is_not_finite_is_an_error_on_every_path() {
+    let operator = StepOperator::new(tissue(2, &PROPERTIES), 0.005).unwrap();
+    let blocks: [&dyn Fn(usize) -> Matrix3<f64>; 3] = [&|_| Matrix3::zeros(), &normal_spring, &exact_image_block];
+    for block in blocks {
+        let (state, mut system) = loaded_system(&operator, block);
+        system.force_mn[3].y = f64::NAN;
+        let error = StepSolver::default().solve(&operator, &system, &mut state.position_mm.clone(), &mut []).unwrap_err();
+        assert_eq!(error, MechanicsError::Solve(LinearSolveError::NotFinite { right_hand_side: 0 }));
+    }
+}
+
+#[test]
+fn results_do_not_depend_on_the_number_of_threads() {
+    let run = |threads: usize| {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| {
+            let operator = StepOperator::new(tissue(8, &PROPERTIES), 0.005).unwrap();
+            let mut solver = StepSolver::default();
+            [normal_spring, exact_image_block].map(|block| {
+                let (state, system) = loaded_system(&operator, block);
+                let mut position = state.position_mm.clone();
+                solver.solve(&operator, &system, &mut position, &mut []).unwrap();
+                position
+            })
+        })
+    };
+    assert_eq!(run(1), run(4));
+}
+
+/// x″ = −ω²x: the norm of (ωq, q̇) shrinks by 1/√(1 + (ωh)²) a step, and by nothing else. q is a mode of the free tissue.
+#[test]
+fn backward_euler_damps_every_mode_by_its_closed_form_factor() {
+    let free = PassiveProperties { damping_mass_per_s: 0.0, damping_stiffness_s: 0.0, pericardium_damping_kpa_s_per_mm: 0.0, ..PROPERTIES };
+    let tissue = tissue(2, &free);
+    let long = StepOperator::new(Arc::clone(&tissue), 1e6).unwrap();
+    let stiffness = dense_of(&long, &long.empty_system());
+    let mass = DVector::from_iterator(3 * tissue.vertex_count(), tissue.vertex_mass_kg().iter().flat_map(|&m| [m; 3]));
+    let scaled = DMatrix::from_fn(mass.len(), mass.len(), |i, j| stiffness[(i, j)] / (mass[i] * mass[j]).sqrt());
+    let modes = scaled.symmetric_eigen();
+    for mode in [0, 20, 60] {
+        let omega_per_s = modes.eigenvalues[mode].sqrt();
+        let shape: Vec<Vector3<f64>> = (0..tissue.vertex_count())
+            .map(|v| modes.eigenvectors.fixed_view::<3, 1>(3 * v, mode) / tissue.vertex_mass_kg()[v].sqrt())
+            .collect();
+        let component =
+            |field: &[Vector3<f64>]| -> f64 { field.iter().zip(&shape).zip(tissue.vertex_mass_kg()).map(|((u, s), m)| u.dot(s) * m).sum() };
+        let norm = |state: &MotionState| {
+            let displacement: Vec<Vector3<f64>> = state.position_mm.iter().zip(tissue.rest_mm()).map(|(y, x)| y - x).collect();
+            (omega_per_s * component(&displacement)).hypot(component(&state.velocity_mm_per_s))
+        };
+        for step_s in [0.001, 0.01] {
+            let operator = StepOperator::new(Arc::clone(&tissue), step_s).unwrap();
+            let amplitude = 1e-4;
+            let position = tissue.rest_mm().iter().zip(&shape).map(|(x, s)| x + s * amplitude).collect();
+            let mut state = MotionState::at_rest(position);
+            let mut system = operator.empty_system();
+            for _ in 0..3 {
+                operator.assemble(&state, None, &mut system).unwrap();
+                let mut position = state.position_mm.clone();
+                StepSolver::default().solve(&operator, &system, &mut position, &mut []).unwrap();
+                let next = operator.advance(&state, position);
+                let expected = 1.0 / 1.0f64.hypot(omega_per_s * step_s);
+                assert!((norm(&next) / norm(&state) / expected - 1.0).abs() < 1e-8, "mode {mode}, step {step_s} s");
+                state = next;
+            }
+        }
+    }
+}
+
+/// Moving all anchors of a tissue that only the base holds moves the tissue: a rigid translation is the equilibrium.
+#[test]
+fn moving_anchors_carry_the_tissue_along() {
+    let held = PassiveProperties { pericardium_stiffness_kpa_per_mm: 0.0, ..PROPERTIES };
+    let operator = StepOperator::new(tissue(3, &held), 0.005).unwrap();
+    let tissue = operator.myocardium();
+    let shift = Vector3::new(1.0, -2.0, 0.5);
+    let anchors: Vec<Vector3<f64>> = tissue.base_vertices().iter().map(|&v| tissue.rest_mm()[v] + shift).collect();
+    let state = MotionState::at_rest(tissue.rest_mm().iter().map(|x| x + shift).collect());
+    let mut system = operator.empty_system();
+    operator.assemble(&state, Some(&anchors), &mut system).unwrap();
+    let mut position = tissue.rest_mm().to_vec();
+    StepSolver::default().solve(&operator, &system, &mut position, &mut []).unwrap();
+    assert!(position.iter().zip(&state.position_mm).all(|(y, z)| (y - z).norm() < 1e-10));
+    let wrong = operator.assemble(&state, Some(&anchors[1..]), &mut system);
+    assert!(matches!(wrong, Err(MechanicsError::FieldSize { .. })));
+}
+
+#[test]
+fn fields_of_the_wrong_size_and_bad_steps_are_refused() {
+    let tissue = tissue(1, &PROPERTIES);
+    for step_s in [0.0, -0.1, f64::NAN] {
+        assert!(matches!(StepOperator::new(Arc::clone(&tissue), step_s), Err(MechanicsError::Property { property: "step_s", .. })));
+    }
+    let operator = StepOperator::new(Arc::clone(&tissue), 0.005).unwrap();
+    let mut system = operator.empty_system();
+    let short = MotionState::at_rest(vec![Vector3::zeros(); 3]);
+    assert!(matches!(operator.assemble(&short, None, &mut system), Err(MechanicsError::FieldSize { .. })));
+    let responses = &mut [vec![Vector3::zeros(); 2]];
+    let outcome = StepSolver::default().solve(&operator, &system, &mut tissue.rest_mm().to_vec(), responses);
+    assert!(matches!(outcome, Err(MechanicsError::FieldSize { .. })));
+    assert!(matches!(tissue.add_contraction_force(&[1.0], &mut system.force_mn), Err(MechanicsError::FieldSize { .. })));
+}
