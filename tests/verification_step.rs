@@ -1,4 +1,5 @@
 //! The step system: backward Euler's amplitude, solves against dense algebra, and what repeated solves may depend on.
+#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a test fails by panicking, and may show its figures")]
 
 use std::sync::Arc;
 
@@ -50,6 +51,9 @@ fn tissue(edge: usize, properties: &PassiveProperties) -> Arc<Myocardium> {
         (0..mesh.tetrahedron_count()).map(|t| *Rotation3::from_euler_angles(0.1 * t as f64, 0.2, 0.3).matrix()).collect();
     Arc::new(Myocardium::new(&mesh, &surface, &axes, properties).unwrap())
 }
+
+/// The stiffness block of a vertex.
+type Block = &'static dyn Fn(usize) -> Matrix3<f64>;
 
 fn wobble(vertex: usize) -> Vector3<f64> {
     let v = vertex as f64;
@@ -106,7 +110,7 @@ fn flat(field: &[Vector3<f64>]) -> DVector<f64> {
 fn every_path_agrees_with_dense_lu() {
     let operator = StepOperator::new(tissue(3, &PROPERTIES), 0.005).unwrap();
     let count = operator.myocardium().vertex_count();
-    let paths: [(SolvePath, &dyn Fn(usize) -> Matrix3<f64>); 3] = [
+    let paths: [(SolvePath, Block); 3] = [
         (SolvePath::Direct, &|_| Matrix3::zeros()),
         (SolvePath::ConjugateGradients, &normal_spring),
         (SolvePath::Gmres, &exact_image_block),
@@ -175,7 +179,7 @@ fn a_solve_that_may_not_iterate_fails_with_its_residual_and_count() {
 #[test]
 fn a_force_that_is_not_finite_is_an_error_on_every_path() {
     let operator = StepOperator::new(tissue(2, &PROPERTIES), 0.005).unwrap();
-    let blocks: [&dyn Fn(usize) -> Matrix3<f64>; 3] = [&|_| Matrix3::zeros(), &normal_spring, &exact_image_block];
+    let blocks: [Block; 3] = [&|_| Matrix3::zeros(), &normal_spring, &exact_image_block];
     for block in blocks {
         let (state, mut system) = loaded_system(&operator, block);
         system.force_mn[3].y = f64::NAN;
