@@ -40,7 +40,8 @@ const CRATES: &[(&str, &[&str])] = &[
     ("dejavu", &["report"]),
     ("csv", &["report"]),
     ("tempfile", &["report"]),
-    ("serde_json", &["report"]),
+    ("serde_json", &["report", "image"]),
+    ("::image", &["report"]),
     ("toml", &["study"]),
     ("strsim", &["study"]),
     ("clap", &["cli"]),
@@ -51,9 +52,9 @@ const CRATES: &[(&str, &[&str])] = &[
 
 /// Side effects by their words, and where they may happen: rooms, or files of a room.
 const EFFECTS: &[(&str, &[&str])] = &[
-    ("std::fs", &["image/nifti", "mesh/io", "report", "study", "cli"]),
-    ("File::", &["image/nifti", "mesh/io", "report", "study", "cli"]),
-    ("std::io", &["image/nifti", "image/error", "mesh/io", "mesh/error", "report", "study", "cli"]),
+    ("std::fs", &["image/nifti", "image/timing", "mesh/io", "report", "study", "cli"]),
+    ("File::", &["image/nifti", "image/timing", "mesh/io", "report", "study", "cli"]),
+    ("std::io", &["image/nifti", "image/timing", "image/error", "mesh/io", "mesh/error", "report", "study", "cli"]),
     ("println!", &["cli"]),
     ("print!", &["cli"]),
     ("std::env", &["cli"]),

@@ -101,7 +101,7 @@ pub(super) fn read(table: TableReader) -> AnatomyPlan {
 }
 
 fn read_labels(table: &TableReader) -> AnatomySource {
-    let code = |key, default| u16::try_from(table.count(key, 1..=i64::from(u16::MAX), default)).unwrap_or(u16::MAX);
+    let code = |key, default| u16::try_from(table.count(key, 1..=i64::from(u8::MAX), default)).unwrap_or(u16::MAX);
     let codes = LabelCodes { cavity_lv: code("code_cavity_lv", 1), wall_lv: code("code_wall_lv", 2) };
     if codes.cavity_lv == codes.wall_lv {
         table.problem("code_wall_lv", "equals code_cavity_lv", "give the wall and the cavity their own codes");

@@ -14,15 +14,15 @@ pub enum ImageSource {
     Phantom(PhantomPlan),
 }
 
-/// A cine sequence and how it is prepared. The heart period is the parameter `heart_period_s`.
+/// A cine sequence and how it is prepared. The heart period is the parameter `heart_period_s`, where written.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImagesPlan {
     /// `cine`: 4D NIfTI.
     pub cine: PathBuf,
-    /// `first_frame_s`: time of the first frame after the trigger (R wave).
-    pub first_frame_s: f64,
-    /// `frame_interval_s`: time from frame to frame; the heart period over the number of frames where absent.
-    pub frame_interval_s: Option<f64>,
+    /// `timing`: trigger times and heart periods beside the image, JSON; see [`crate::image::CineTiming::from_sidecar`].
+    pub timing: Option<PathBuf>,
+    /// `first_frame_s`: time of the first frame after the trigger (R wave); that of `timing`, or the header's, where absent.
+    pub first_frame_s: Option<f64>,
     /// `quantile_low`: intensities below this quantile of all frames become 0.
     pub quantile_low: f64,
     /// `quantile_high`: intensities above this quantile of all frames become 255.
@@ -48,8 +48,8 @@ pub(super) fn read(table: TableReader) -> Option<ImagesPlan> {
     let validation = table.tables("validation").into_iter().map(read_labels).collect();
     let plan = table.is_written().then(|| ImagesPlan {
         cine: table.required_data_file("cine"),
-        first_frame_s: table.number("first_frame_s", -2.5..=2.5, 0.0),
-        frame_interval_s: table.optional_number("frame_interval_s", 0.001..=1.0),
+        timing: table.data_file("timing"),
+        first_frame_s: table.optional_number("first_frame_s", -2.5..=2.5),
         quantile_low: table.number("quantile_low", 0.0..=0.5, 0.01),
         quantile_high: table.number("quantile_high", 0.5..=1.0, 0.99),
         isotropic_spacing_mm: table.optional_number("isotropic_spacing_mm", 0.2..=10.0),
@@ -66,7 +66,7 @@ fn read_labels(table: TableReader) -> ReferenceLabels {
     let labels = ReferenceLabels {
         path: table.required_data_file("labels"),
         frame: table.count("frame", 0..=100_000, 0),
-        code_cavity_lv: u16::try_from(table.count("code_cavity_lv", 1..=i64::from(u16::MAX), 1)).unwrap_or(u16::MAX),
+        code_cavity_lv: u16::try_from(table.count("code_cavity_lv", 1..=i64::from(u8::MAX), 1)).unwrap_or(u16::MAX),
     };
     if !table.has("frame") {
         table.missing("frame", "the frame that the labels were drawn on, counted from 0");

@@ -17,7 +17,7 @@ pub use model::{Kinematics, ModelPlan, OnsetPlan, OnsetSite};
 pub use output::OutputPlan;
 pub use personalisation::{FreeParameter, PersonalisationPlan, ScopeOfParameter, VolumeCurveSource};
 pub use phantom::{ModelAnatomy, PhantomPlan};
-pub use tracking::{BaseMode, ForceScheme, GainChoice, Similarity, TrackingPlan};
+pub use tracking::{BaseMode, GainChoice, TrackingPlan};
 
 use super::provenance::Provenance;
 use super::reader::{Choice, Reader, TableReader};
@@ -105,6 +105,7 @@ impl Plan {
         }
         if let Some(ImageSource::Cine(images)) = &self.images {
             files.push(images.cine.clone());
+            files.extend(images.timing.clone());
             files.extend(images.validation.iter().map(|labels| labels.path.clone()));
         }
         files

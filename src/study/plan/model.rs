@@ -19,8 +19,8 @@ words! {
 words! {
     /// Where the first depolarisation takes place, at `onset_time_s`.
     OnsetSite {
-        /// The LV endocardium of the septum.
-        Septum = "septum",
+        /// Where the Purkinje network of a normal heart ends.
+        Normal = "normal",
         /// The whole LV endocardium.
         Endocardium = "endocardium",
         /// The vertices nearest to `[[electrophysiology.site]]`.
@@ -66,11 +66,11 @@ pub(super) fn read(root: &TableReader, parameters: &mut Parameters, written: &mu
 
 fn read_onset(table: TableReader, parameters: &mut Parameters, written: &mut BTreeSet<Parameter>) -> OnsetPlan {
     table.parameters(Section::Electrophysiology, parameters, written);
-    let place = table.choice("onset", OnsetSite::Septum);
+    let place = table.choice("onset", OnsetSite::Normal);
     let sites: Vec<_> = table.tables("site").into_iter().map(read_site).collect();
     match (place, sites.is_empty()) {
         (OnsetSite::Sites, true) => table.missing("site", "[[electrophysiology.site]] with its position_mm"),
-        (OnsetSite::Septum | OnsetSite::Endocardium, false) => {
+        (OnsetSite::Normal | OnsetSite::Endocardium, false) => {
             table.problem("site", "is of no use with this onset", "write onset = \"sites\", or take the sites away")
         }
         _ => {}

@@ -4,20 +4,20 @@ use std::collections::BTreeSet;
 
 use super::words;
 use crate::heart::{Parameter, Parameters, Section};
-use crate::study::reader::TableReader;
+use crate::study::reader::{Choice, TableReader};
+use crate::tracking::{BaseProjection, BlockMatchingSettings, BoundarySettings, ForceScheme, Similarity};
 
-words! {
-    /// How image forces enter the time step.
-    ForceScheme {
-        /// At the step's start, [Billet2009] §4.2.
-        Explicit = "explicit",
-        /// Implicit with B as printed in [Billet2009] eq. 3.
-        Published = "published",
-        /// Implicit with the derivative of the construction itself.
-        Exact = "exact",
-        /// Implicit from an energy: symmetric.
-        Variational = "variational",
-    }
+impl Choice for ForceScheme {
+    const WORDS: &'static [(&'static str, Self)] =
+        &[("explicit", Self::Explicit), ("published", Self::Published), ("exact", Self::Exact), ("variational", Self::Variational)];
+}
+
+impl Choice for Similarity {
+    const WORDS: &'static [(&'static str, Self)] = &[("ssd", Self::Ssd), ("ncc", Self::Ncc)];
+}
+
+impl Choice for BaseProjection {
+    const WORDS: &'static [(&'static str, Self)] = &[("normal", Self::Normal), ("full", Self::Full)];
 }
 
 words! {
@@ -29,16 +29,6 @@ words! {
         Springs = "springs",
         /// Springs to block-matched positions.
         BlockMatching = "block_matching",
-    }
-}
-
-words! {
-    /// How two blocks of voxels are compared.
-    Similarity {
-        /// Sum of squared differences.
-        Ssd = "ssd",
-        /// Normalised cross-correlation.
-        Ncc = "ncc",
     }
 }
 
@@ -71,6 +61,8 @@ pub struct TrackingPlan {
     pub seed: u64,
     /// `base`.
     pub base: BaseMode,
+    /// `base_projection`: which part of the way to a matched block is pulled.
+    pub base_projection: BaseProjection,
     /// `similarity`.
     pub similarity: Similarity,
     /// `block_size_mm`: edge of a block.
@@ -83,18 +75,21 @@ pub struct TrackingPlan {
 
 pub(super) fn read(table: TableReader, parameters: &mut Parameters, written: &mut BTreeSet<Parameter>) -> TrackingPlan {
     table.parameters(Section::Tracking, parameters, written);
+    let (boundary, blocks) = (BoundarySettings::default(), BlockMatchingSettings::default());
+    let block_size_mm = blocks.voxel_mm * (2 * blocks.block_radius_voxels + 1) as f64;
     let plan = TrackingPlan {
-        scheme: table.choice("scheme", ForceScheme::Variational),
+        scheme: table.choice("scheme", ForceScheme::default()),
         gains: table.choice("gains", GainChoice::Written),
-        search_range_mm: table.number("search_range_mm", 1.0..=50.0, 10.0),
-        search_step_mm: table.number("search_step_mm", 0.05..=5.0, 0.5),
-        max_angle_deg: table.number("max_angle_deg", 5.0..=89.0, 60.0),
+        search_range_mm: table.number("search_range_mm", 1.0..=50.0, boundary.range_mm),
+        search_step_mm: table.number("search_step_mm", 0.05..=5.0, boundary.sample_mm),
+        max_angle_deg: table.number("max_angle_deg", 5.0..=89.0, boundary.angle_none_deg),
         held_out_fraction: table.number("held_out_fraction", 0.0..=0.5, 0.1),
         seed: table.count("seed", 0..=i64::MAX, 1) as u64,
         base: table.choice("base", BaseMode::BlockMatching),
-        similarity: table.choice("similarity", Similarity::Ssd),
-        block_size_mm: table.number("block_size_mm", 2.0..=60.0, 12.0),
-        block_range_mm: table.number("block_range_mm", 1.0..=40.0, 8.0),
+        base_projection: table.choice("base_projection", BaseProjection::default()),
+        similarity: table.choice("similarity", Similarity::default()),
+        block_size_mm: table.number("block_size_mm", 2.0..=60.0, block_size_mm),
+        block_range_mm: table.number("block_range_mm", 1.0..=40.0, blocks.range_mm),
         beats: table.count("beats", 1..=20, 1),
     };
     if plan.search_step_mm > plan.search_range_mm {
