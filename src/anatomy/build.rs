@@ -5,7 +5,8 @@ use nalgebra::Vector3;
 use super::fibres::local_axes;
 use super::mesher::{MesherSettings, WallShape, mesh_wall};
 use super::segments::{aha_segment, cavity_depth_mm, heart_axes, region_of_segment};
-use super::{Anatomy, AnatomyError, DEFAULT_SEPTAL_DIRECTION, FibreRule, laplace};
+use super::{Anatomy, AnatomyError, DEFAULT_SEPTAL_DIRECTION, FibreRule, Ventricle, laplace};
+use crate::image::{VentricleFields, Volume};
 use crate::mesh::{MeshError, SurfaceTag, TaggedSurface, TetMesh};
 
 /// What a mesh alone does not say.
@@ -32,6 +33,47 @@ pub fn build_lv(shape: &WallShape, mesher: &MesherSettings, settings: &AnatomySe
     settings.fibres.check()?;
     let (mesh, surface) = mesh_wall(shape, mesher)?;
     complete_lv(mesh, surface, settings)
+}
+
+/// Meshes the left ventricle of an image's signed-distance fields and completes it. Where the wall is thinner than `minimum_wall_mm` the
+/// epicardium is moved outward: a lattice cannot show a wall much thinner than an edge.
+///
+/// # Errors
+/// [`AnatomyError`] of [`build_lv`], or for a minimum wall that is negative or not finite.
+pub fn build_lv_from_fields(
+    fields: &VentricleFields,
+    minimum_wall_mm: f64,
+    mesher: &MesherSettings,
+    settings: &AnatomySettings,
+) -> Result<Anatomy, AnatomyError> {
+    if !(minimum_wall_mm.is_finite() && minimum_wall_mm >= 0.0) {
+        let expectation = "be zero or positive";
+        return Err(AnatomyError::Setting { name: "the minimum wall in mm", value: minimum_wall_mm, expectation });
+    }
+    let cavity = |p: &Vector3<f64>| distance_mm(&fields.cavity, p);
+    let epicardium = |p: &Vector3<f64>| distance_mm(&fields.epicardium, p).min(cavity(p) - minimum_wall_mm);
+    let shape = WallShape {
+        epicardium: &epicardium,
+        cavities: vec![(Ventricle::Left, &cavity)],
+        base_point_mm: fields.base_plane.point_mm,
+        base_normal: fields.base_plane.normal,
+        bounds_mm: box_of(&fields.epicardium),
+    };
+    build_lv(&shape, mesher, settings)
+}
+
+/// A sampled signed distance; beyond the grid everything is far outside.
+fn distance_mm(field: &Volume, position_mm: &Vector3<f64>) -> f64 {
+    const FAR_MM: f64 = 1e3;
+    field.sample(position_mm).unwrap_or(FAR_MM)
+}
+
+fn box_of(field: &Volume) -> [Vector3<f64>; 2] {
+    let grid = field.grid();
+    let last = grid.shape().map(|n| n.saturating_sub(1) as f64);
+    let corner = |c: usize| grid.to_world_mm(&Vector3::from_fn(|axis, _| if c >> axis & 1 == 1 { last[axis] } else { 0.0 }));
+    let start = [corner(0), corner(0)];
+    (1..8).map(corner).fold(start, |[low, high], p| [low.inf(&p), high.sup(&p)])
 }
 
 /// Completes a tagged mesh of a left ventricle, however it was made: transmural depth (Laplace: 0 on the endocardium, 1 on the

@@ -7,7 +7,7 @@ mod laplace;
 pub mod mesher;
 mod segments;
 
-pub use build::{AnatomySettings, build_lv, complete_lv};
+pub use build::{AnatomySettings, build_lv, build_lv_from_fields, complete_lv};
 pub use error::AnatomyError;
 pub use fibres::FibreRule;
 pub use segments::DEFAULT_SEPTAL_DIRECTION;

@@ -1,5 +1,7 @@
 //! What can be wrong with a mesh.
 
+use std::path::PathBuf;
+
 use super::SurfaceTag;
 
 /// A mesh that cannot be used, with the place and the amount.
@@ -36,4 +38,16 @@ pub enum MeshError {
     /// The rim of an endocardium is not one closed loop, so the cavity cannot be closed by a lid.
     #[error("the rim of {tag:?} is not one closed loop ({loop_count} loops found); the endocardium has a hole or is in pieces")]
     OpenEndocardium { tag: SurfaceTag, loop_count: usize },
+    /// A mesh file cannot be opened or read.
+    #[error("cannot read mesh {path}: {reason}")]
+    Unreadable { path: PathBuf, reason: String },
+    /// A mesh file was read but what it says cannot be used.
+    #[error("mesh {path} cannot be used: {reason}")]
+    Unusable { path: PathBuf, reason: String },
+    /// A mesh file cannot be written.
+    #[error("cannot write mesh {path}: {reason}")]
+    Unwritable { path: PathBuf, reason: String },
+    /// A field does not fit its mesh.
+    #[error("field {name:?} has {length} entries where the mesh asks for {expected}")]
+    FieldLength { name: String, length: usize, expected: usize },
 }

@@ -2,6 +2,7 @@
 
 mod cavity;
 mod error;
+pub mod io;
 mod quality;
 mod surface;
 mod tet_mesh;

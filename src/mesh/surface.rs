@@ -19,6 +19,22 @@ pub enum SurfaceTag {
     Base,
 }
 
+impl SurfaceTag {
+    /// Every tag.
+    pub const ALL: [Self; 4] = [Self::Base, Self::EndocardiumRv, Self::EndocardiumLv, Self::Epicardium];
+
+    /// The number that stands for this tag in mesh files: base 10, RV endocardium 20, LV endocardium 30, epicardium 40, as in the
+    /// cardiac elastodynamics benchmark's meshes.
+    pub fn code(self) -> i32 {
+        match self {
+            Self::Base => 10,
+            Self::EndocardiumRv => 20,
+            Self::EndocardiumLv => 30,
+            Self::Epicardium => 40,
+        }
+    }
+}
+
 /// Boundary triangles, oriented outward from the myocardium (so an endocardial normal points into the blood).
 #[derive(Debug, Clone, PartialEq)]
 pub struct TaggedSurface {
