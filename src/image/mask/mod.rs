@@ -272,11 +272,14 @@ fn shapes(
     let areas_mm2 = [0, 1].map(|n| masks[n].iter().map(|mask| count(mask) as f64 * pixel_mm2).collect::<Vec<f64>>());
     let heights_mm = [&frame.heights_mm[cavity_begins..], &frame.heights_mm[..]];
     let mut caps_mm = [0.0; 2];
+    // A next slice without labels shows that the apex lies before it; without a next slice it may lie a little further.
+    let apical_index = stack.slices[0].index;
+    let has_next = if frame.index_per_mm > 0.0 { apical_index > 0 } else { apical_index + 1 < labels.grid().shape()[2] };
+    let longest_mm = if has_next { gap_mm } else { 1.5 * gap_mm };
     for (n, name) in ["cavity", "epicardium"].into_iter().enumerate() {
-        let cap = CapLength::from_areas(&areas_mm2[n], heights_mm[n][1] - heights_mm[n][0], gap_mm);
+        let cap = CapLength::from_areas(&areas_mm2[n], heights_mm[n][1] - heights_mm[n][0], longest_mm);
         if let Some(reason) = cap.limited {
-            let from = heights_mm[n][0];
-            warnings.push(format!("apex of the {name}: it {reason}; closed {:.1} mm beyond its last slice at {from} mm", cap.length_mm));
+            warnings.push(format!("apex of the {name}: it {reason}; closed {:.1} mm beyond its last slice's mid-plane", cap.length_mm));
         }
         caps_mm[n] = cap.length_mm;
     }

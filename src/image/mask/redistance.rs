@@ -3,17 +3,13 @@
 /// Nodes whose estimated distance is below this many steps keep it; all others are swept.
 const BAND_STEPS: f64 = 1.5;
 
-/// Rounds of eight sweeps; the characteristics of a distance seldom turn more than twice.
-const ROUNDS: usize = 2;
-
 /// Replaces `values` (i fastest, nodes `step_mm` apart) by signed distances, mm, to their zero level.
 pub(super) fn to_signed_distance_mm(values: &mut [f64], shape: [usize; 3], step_mm: f64) {
     let near = near_distances(values, shape, step_mm);
     let mut distance: Vec<f64> = near.iter().map(|near| near.map_or(f64::INFINITY, f64::abs)).collect();
-    for _ in 0..ROUNDS {
-        for direction in 0..8 {
-            sweep(&mut distance, &near, shape, step_mm, direction);
-        }
+    // One round: the characteristics of a distance are straight, so that each lies along one of the eight sweeps.
+    for direction in 0..8 {
+        sweep(&mut distance, &near, shape, step_mm, direction);
     }
     for (flat, value) in values.iter_mut().enumerate() {
         let signed = near[flat].unwrap_or(distance[flat].copysign(*value));
@@ -55,16 +51,23 @@ fn sweep(distance: &mut [f64], fixed: &[Option<f64>], shape: [usize; 3], step_mm
                 if fixed[flat].is_some() {
                     continue;
                 }
-                let mut upwind = [0, 1, 2].map(|axis| {
+                let upwind = [0, 1, 2].map(|axis| {
                     let behind = if at[axis] > 0 { distance[flat - strides[axis]] } else { f64::INFINITY };
                     let ahead = if at[axis] + 1 < shape[axis] { distance[flat + strides[axis]] } else { f64::INFINITY };
                     behind.min(ahead)
                 });
-                upwind.sort_by(f64::total_cmp);
-                distance[flat] = distance[flat].min(godunov(upwind, step_mm));
+                let [least, middle, most] = ascending(upwind);
+                if least < distance[flat] {
+                    distance[flat] = distance[flat].min(godunov([least, middle, most], step_mm));
+                }
             }
         }
     }
+}
+
+fn ascending([a, b, c]: [f64; 3]) -> [f64; 3] {
+    let (low, high) = (a.min(b), a.max(b));
+    [low.min(c), high.min(low.max(c)), high.max(c)]
 }
 
 /// The smallest d with Σₐ max(d − uₐ, 0)² = h², for ascending upwind values u.

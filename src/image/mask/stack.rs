@@ -39,13 +39,13 @@ pub(super) struct CapLength {
 }
 
 impl CapLength {
-    /// From the areas (mm²) of the two most apical slices, `gap_mm` apart; at most `longest_mm`, where the next slice shows nothing.
+    /// From the areas (mm²) of the two most apical slices, `gap_mm` apart; at most `longest_mm`.
     pub(super) fn from_areas(areas_mm2: &[f64], gap_mm: f64, longest_mm: f64) -> Self {
         const SHORTEST: f64 = 0.1;
         let slope = (areas_mm2[1] - areas_mm2[0]) / gap_mm;
         let length_mm = areas_mm2[0] / slope;
         if slope <= 0.0 || length_mm > longest_mm {
-            Self { length_mm: longest_mm, limited: Some("tapers too little to close before the next, empty slice") }
+            Self { length_mm: longest_mm, limited: Some("tapers too little to close where the slices end") }
         } else if length_mm < SHORTEST * longest_mm {
             Self { length_mm: SHORTEST * longest_mm, limited: Some("tapers very fast") }
         } else {

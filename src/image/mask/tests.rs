@@ -66,7 +66,7 @@ fn thick_oblique_slices_give_back_volume_and_surface_of_an_ellipsoid() {
                 for turn in 0..12 {
                     let z = -0.1 * f64::from(height) * semi_axes_mm[1];
                     let radius = semi_axes_mm[0] * (1.0 - (z / semi_axes_mm[1]).powi(2)).sqrt();
-                    let angle = f64::from(turn) * 0.5236;
+                    let angle = f64::from(turn) * std::f64::consts::FRAC_PI_6;
                     let point = map * Vector3::new(radius * angle.cos(), radius * angle.sin(), z).push(1.0);
                     let distance_mm = field.sample(&point.xyz()).unwrap();
                     assert!(distance_mm.abs() < surface_mm, "{distance_mm} mm off at height {z}, slices of {gap_mm} mm");
