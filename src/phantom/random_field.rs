@@ -90,12 +90,12 @@ fn gaussian_kernel(deviation: f64) -> Vec<f64> {
 fn deviation_after_smoothing(kernel: &[f64]) -> f64 {
     let at = |x: isize| kernel.get(x.unsigned_abs()).copied().unwrap_or(0.0);
     let reach = kernel.len() as isize + 3;
-    let place_count = 64;
-    let variance_at = |place: usize| {
-        let weights = cubic_weights((place as f64 + 0.5) / f64::from(place_count));
+    const PLACE_COUNT: u8 = 64;
+    let variance_at = |place: u8| {
+        let weights = cubic_weights((f64::from(place) + 0.5) / f64::from(PLACE_COUNT));
         (-reach..=reach).map(|x| weights.iter().zip(0..).map(|(w, i)| w * at(x - i)).sum::<f64>().powi(2)).sum::<f64>()
     };
-    ((0..place_count as usize).map(variance_at).sum::<f64>() / f64::from(place_count)).sqrt()
+    ((0..PLACE_COUNT).map(variance_at).sum::<f64>() / f64::from(PLACE_COUNT)).sqrt()
 }
 
 /// Convolution with a symmetric kernel along one axis; the noise is continued periodically.
