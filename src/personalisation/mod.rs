@@ -1,6 +1,29 @@
-//! Parameters from data: residuals, Gauss–Newton with constrained QP steps, gains and uncertainty.
+//! Parameters from data: residuals, Gauss–Newton with constrained QP steps, gains and uncertainty, MODEL §9 and §10.
+//!
+//! The model appears as a [`TangentModel`] only: a trajectory and its derivatives. [`FiniteDifferenceModel`] makes one of any simulation.
+
+mod constraints;
+mod error;
+mod gauss_newton;
+mod parameters;
+mod problem;
+mod residuals;
+mod tangents;
 
 use nalgebra::DVector;
+
+pub use constraints::{InequalityConstraint, LinearConstraint, RepolarisedBeforeNextBeat};
+pub use error::PersonalisationError;
+pub use gauss_newton::{
+    Calibration, CalibrationOutcome, CalibrationState, ConvergenceTest, GaussNewtonQp, GaussNewtonSettings, IterationRecord, TrustShape,
+    calibrate,
+};
+pub use parameters::{FreeParameter, ParameterSpace, Transform};
+pub use problem::{CalibrationProblem, Evaluation, Linearisation};
+pub use residuals::{
+    BoundaryResidual, CalibrationFrame, CalibrationTrajectory, Loss, PriorResidual, StackedResidual, SurfaceTarget, VolumeCurveResidual,
+};
+pub use tangents::{DifferenceScheme, FiniteDifferenceModel, LinearTrajectory};
 
 /// A model whose trajectories can be differentiated in its parameters.
 pub trait TangentModel: Sync {
@@ -30,4 +53,6 @@ pub trait Residual<T>: Sync {
     fn evaluate(&self, trajectory: &T, rows: &mut [f64]);
     /// Writes the rows' derivative along `tangent` at `trajectory`.
     fn apply_tangent(&self, trajectory: &T, tangent: &T, rows: &mut [f64]);
+    /// Writes the loss of every row.
+    fn write_losses(&self, losses: &mut [Loss]);
 }

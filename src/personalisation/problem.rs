@@ -1,0 +1,250 @@
+//! The calibration problem: a model, residuals, a prior, bounds and constraints, as argmin sees it.
+//!
+//! $$ \min_\theta \sum_i \rho_i(r_i(\theta)) + \tfrac12 \Big\lVert \frac{\theta - \mu}{s} \Big\rVert^2,\quad l \le \theta \le u,\; c(\theta) \le 0 $$
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use argmin::core::{CostFunction, Error, Jacobian, Operator};
+use nalgebra::{DMatrix, DVector};
+
+use super::constraints::InequalityConstraint;
+use super::{Loss, ParameterSpace, PersonalisationError, PriorResidual, Residual, TangentModel};
+
+/// What is minimised, over which box, under which constraints.
+pub struct CalibrationProblem<'a, M: TangentModel> {
+    model: &'a M,
+    residual: &'a dyn Residual<M::Trajectory>,
+    losses: Vec<Loss>,
+    prior: PriorResidual,
+    lower: DVector<f64>,
+    upper: DVector<f64>,
+    constraints: Vec<Box<dyn InequalityConstraint + 'a>>,
+    stop: Option<&'a AtomicBool>,
+}
+
+/// The objective at one point.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Evaluation<T> {
+    /// What the model did.
+    pub trajectory: T,
+    /// Data rows, over their standard deviations.
+    pub rows: DVector<f64>,
+    /// Σ ρ(r).
+    pub data_cost: f64,
+    /// ½ ‖(θ − μ)/s‖².
+    pub prior_cost: f64,
+    /// Σ max(0, c).
+    pub violation: f64,
+}
+
+impl<T> Evaluation<T> {
+    /// The objective.
+    pub fn cost(&self) -> f64 {
+        self.data_cost + self.prior_cost
+    }
+}
+
+/// The objective to second order around one point: rows r, their Jacobian J (rows × p), Huber weights, H = JᵀWJ + S⁻², g = JᵀWr + S⁻²(θ − μ).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Linearisation {
+    /// The point.
+    pub coordinates: DVector<f64>,
+    /// Data rows.
+    pub rows: DVector<f64>,
+    /// dr/dθ.
+    pub jacobian: DMatrix<f64>,
+    /// Weights of the rows.
+    pub weights: DVector<f64>,
+    /// Gauss–Newton Hessian, prior included.
+    pub hessian: DMatrix<f64>,
+    /// Gradient of the objective, exact.
+    pub gradient: DVector<f64>,
+}
+
+impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
+    /// A problem in the coordinates of `space`, with its bounds and prior.
+    ///
+    /// # Errors
+    /// [`PersonalisationError`] for a prior that is none.
+    pub fn new(
+        model: &'a M,
+        residual: &'a dyn Residual<M::Trajectory>,
+        space: &ParameterSpace,
+    ) -> Result<Self, PersonalisationError> {
+        let prior = PriorResidual::new(space.prior_mean(), space.prior_sd())?;
+        Self::in_box(model, residual, prior, space.lower(), space.upper())
+    }
+
+    /// A problem in coordinates of any meaning: `prior`, `lower` and `upper` have one entry a coordinate.
+    ///
+    /// # Errors
+    /// [`PersonalisationError`] if sizes differ or bounds cross.
+    pub fn in_box(
+        model: &'a M,
+        residual: &'a dyn Residual<M::Trajectory>,
+        prior: PriorResidual,
+        lower: DVector<f64>,
+        upper: DVector<f64>,
+    ) -> Result<Self, PersonalisationError> {
+        let expected = prior.mean().len();
+        for (what, found) in [("lower bounds", lower.len()), ("upper bounds", upper.len())] {
+            if found != expected {
+                return Err(PersonalisationError::Shape { what, found, expected });
+            }
+        }
+        if let Some(index) = (0..expected).find(|&index| lower[index].is_nan() || upper[index].is_nan() || lower[index] > upper[index]) {
+            let remedy = "must not lie above its upper bound";
+            return Err(PersonalisationError::Setting { what: "lower bound", value: lower[index], remedy });
+        }
+        let mut losses = vec![Loss::Squares; residual.row_count()];
+        residual.write_losses(&mut losses);
+        Ok(Self { model, residual, losses, prior, lower, upper, constraints: Vec::new(), stop: None })
+    }
+
+    /// Adds a constraint.
+    #[must_use]
+    pub fn with_constraint(mut self, constraint: impl InequalityConstraint + 'a) -> Self {
+        self.constraints.push(Box::new(constraint));
+        self
+    }
+
+    /// Stops before the next evaluation once `flag` is set.
+    #[must_use]
+    pub fn with_stop_flag(mut self, flag: &'a AtomicBool) -> Self {
+        self.stop = Some(flag);
+        self
+    }
+
+    /// Number of coordinates.
+    pub fn dimension(&self) -> usize {
+        self.lower.len()
+    }
+
+    /// Lower bounds.
+    pub fn lower(&self) -> &DVector<f64> {
+        &self.lower
+    }
+
+    /// Upper bounds.
+    pub fn upper(&self) -> &DVector<f64> {
+        &self.upper
+    }
+
+    /// The prior.
+    pub fn prior(&self) -> &PriorResidual {
+        &self.prior
+    }
+
+    /// The constraints.
+    pub fn constraints(&self) -> impl ExactSizeIterator<Item = &dyn InequalityConstraint> + '_ {
+        self.constraints.iter().map(|constraint| constraint.as_ref() as &dyn InequalityConstraint)
+    }
+
+    /// Whether someone asked to stop.
+    pub fn is_stopped(&self) -> bool {
+        self.stop.is_some_and(|flag| flag.load(Ordering::SeqCst))
+    }
+
+    /// The nearest point of the box.
+    pub fn clamp(&self, coordinates: &DVector<f64>) -> DVector<f64> {
+        coordinates.sup(&self.lower).inf(&self.upper)
+    }
+
+    /// Simulates and compares.
+    ///
+    /// # Errors
+    /// [`PersonalisationError::Stopped`], [`PersonalisationError::Simulation`] or [`PersonalisationError::NonFiniteResidual`].
+    pub fn evaluate(&self, coordinates: &DVector<f64>) -> Result<Evaluation<M::Trajectory>, PersonalisationError> {
+        self.check_stop()?;
+        let trajectory = self.model.simulate(coordinates).map_err(|error| self.failure(coordinates, error))?;
+        let mut rows = DVector::zeros(self.residual.row_count());
+        self.residual.evaluate(&trajectory, rows.as_mut_slice());
+        if let Some((row, &value)) = rows.iter().enumerate().find(|(_, value)| !value.is_finite()) {
+            let coordinates = coordinates.iter().copied().collect();
+            return Err(PersonalisationError::NonFiniteResidual { row, value, coordinates });
+        }
+        let data_cost = rows.iter().zip(&self.losses).map(|(&row, loss)| loss.value(row)).sum();
+        let prior_cost = 0.5 * self.prior.evaluate(coordinates).norm_squared();
+        let violation = self.constraints.iter().map(|constraint| constraint.value(coordinates).max(0.0)).sum();
+        Ok(Evaluation { trajectory, rows, data_cost, prior_cost, violation })
+    }
+
+    /// The objective to second order around a point already evaluated.
+    ///
+    /// # Errors
+    /// As [`Self::evaluate`].
+    pub fn linearise(
+        &self,
+        coordinates: &DVector<f64>,
+        evaluation: &Evaluation<M::Trajectory>,
+    ) -> Result<Linearisation, PersonalisationError> {
+        self.check_stop()?;
+        let (_, tangents) = self.model.simulate_with_tangents(coordinates).map_err(|error| self.failure(coordinates, error))?;
+        if tangents.len() != self.dimension() {
+            let (found, expected) = (tangents.len(), self.dimension());
+            return Err(PersonalisationError::Shape { what: "tangents", found, expected });
+        }
+        let rows = evaluation.rows.clone();
+        let mut jacobian = DMatrix::zeros(rows.len(), self.dimension());
+        let mut column = vec![0.0; rows.len()];
+        for (index, tangent) in tangents.iter().enumerate() {
+            self.residual.apply_tangent(&evaluation.trajectory, tangent, &mut column);
+            jacobian.column_mut(index).copy_from_slice(&column);
+        }
+        if let Some(entry) = jacobian.iter().position(|entry| !entry.is_finite()) {
+            let (row, coordinates) = (entry % rows.len().max(1), coordinates.iter().copied().collect());
+            return Err(PersonalisationError::NonFiniteResidual { row, value: f64::NAN, coordinates });
+        }
+        let weights = DVector::from_iterator(rows.len(), rows.iter().zip(&self.losses).map(|(&row, loss)| loss.weight(row)));
+        let mut weighted = jacobian.clone();
+        for (mut row, &weight) in weighted.row_iter_mut().zip(&weights) {
+            row *= weight;
+        }
+        let precision = self.prior.precision();
+        let hessian = jacobian.tr_mul(&weighted) + DMatrix::from_diagonal(&precision);
+        // Products of the two triangles are rounded differently.
+        let hessian = (&hessian + hessian.transpose()) * 0.5;
+        let gradient = weighted.tr_mul(&rows) + precision.component_mul(&(coordinates - self.prior.mean()));
+        Ok(Linearisation { coordinates: coordinates.clone(), rows, jacobian, weights, hessian, gradient })
+    }
+
+    fn check_stop(&self) -> Result<(), PersonalisationError> {
+        if self.is_stopped() { Err(PersonalisationError::Stopped) } else { Ok(()) }
+    }
+
+    /// A simulation that fails after a request to stop was stopped.
+    fn failure(&self, coordinates: &DVector<f64>, error: M::Error) -> PersonalisationError {
+        if self.is_stopped() {
+            return PersonalisationError::Stopped;
+        }
+        PersonalisationError::Simulation { coordinates: coordinates.iter().copied().collect(), source: Box::new(error) }
+    }
+}
+
+impl<M: TangentModel> CostFunction for CalibrationProblem<'_, M> {
+    type Param = DVector<f64>;
+    type Output = f64;
+
+    fn cost(&self, coordinates: &Self::Param) -> Result<f64, Error> {
+        Ok(self.evaluate(coordinates)?.cost())
+    }
+}
+
+impl<M: TangentModel> Operator for CalibrationProblem<'_, M> {
+    type Param = DVector<f64>;
+    type Output = DVector<f64>;
+
+    fn apply(&self, coordinates: &Self::Param) -> Result<DVector<f64>, Error> {
+        Ok(self.evaluate(coordinates)?.rows)
+    }
+}
+
+impl<M: TangentModel> Jacobian for CalibrationProblem<'_, M> {
+    type Param = DVector<f64>;
+    type Jacobian = DMatrix<f64>;
+
+    fn jacobian(&self, coordinates: &Self::Param) -> Result<DMatrix<f64>, Error> {
+        let evaluation = self.evaluate(coordinates)?;
+        Ok(self.linearise(coordinates, &evaluation)?.jacobian)
+    }
+}

@@ -1,0 +1,183 @@
+//! What is compared: volume curves and boundary distances over their standard deviations, the prior, and how outliers are weighed.
+
+mod boundary;
+mod loss;
+mod trajectory;
+mod volume;
+
+pub use boundary::{BoundaryResidual, SurfaceTarget};
+pub use loss::Loss;
+pub use trajectory::{CalibrationFrame, CalibrationTrajectory};
+pub use volume::VolumeCurveResidual;
+
+use nalgebra::DVector;
+
+use super::{PersonalisationError, Residual};
+
+/// Several residuals one under the other.
+pub struct StackedResidual<'a, T> {
+    parts: Vec<(&'static str, Box<dyn Residual<T> + 'a>)>,
+}
+
+impl<T> Default for StackedResidual<'_, T> {
+    fn default() -> Self {
+        Self { parts: Vec::new() }
+    }
+}
+
+impl<'a, T> StackedResidual<'a, T> {
+    /// Adds a named part below the others.
+    #[must_use]
+    pub fn with(mut self, name: &'static str, part: impl Residual<T> + 'a) -> Self {
+        self.parts.push((name, Box::new(part)));
+        self
+    }
+
+    /// Root mean square of the rows of every part, by name (1 means: as good as the stated standard deviations).
+    ///
+    /// # Errors
+    /// [`PersonalisationError::Shape`] if `rows` has another length than this residual.
+    pub fn rms_by_part(&self, rows: &DVector<f64>) -> Result<Vec<(&'static str, f64)>, PersonalisationError> {
+        let expected = self.row_count();
+        if rows.len() != expected {
+            return Err(PersonalisationError::Shape { what: "residual rows", found: rows.len(), expected });
+        }
+        let mut start = 0;
+        let mut parts = Vec::new();
+        for (name, part) in &self.parts {
+            let count = part.row_count();
+            let rms = crate::numerics::root_mean_square(&rows.as_slice()[start..start + count]);
+            parts.push((*name, rms));
+            start += count;
+        }
+        Ok(parts)
+    }
+
+    /// Calls `visit` with every part and its own rows.
+    fn split<R>(&self, rows: &mut [R], visit: impl Fn(&dyn Residual<T>, &mut [R])) {
+        let mut rest = rows;
+        for (_, part) in &self.parts {
+            let (own, below) = rest.split_at_mut(part.row_count());
+            visit(part.as_ref(), own);
+            rest = below;
+        }
+    }
+}
+
+impl<T> Residual<T> for StackedResidual<'_, T> {
+    fn row_count(&self) -> usize {
+        self.parts.iter().map(|(_, part)| part.row_count()).sum()
+    }
+
+    fn evaluate(&self, trajectory: &T, rows: &mut [f64]) {
+        self.split(rows, |part, own| part.evaluate(trajectory, own));
+    }
+
+    fn apply_tangent(&self, trajectory: &T, tangent: &T, rows: &mut [f64]) {
+        self.split(rows, |part, own| part.apply_tangent(trajectory, tangent, own));
+    }
+
+    fn write_losses(&self, losses: &mut [Loss]) {
+        self.split(losses, |part, own| part.write_losses(own));
+    }
+}
+
+/// (θ − μ)/s: what is known of the parameters before the data; coordinates with infinite s have no row.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PriorResidual {
+    mean: DVector<f64>,
+    sd: DVector<f64>,
+}
+
+impl PriorResidual {
+    /// A prior with mean μ and standard deviation s, both p, in coordinates.
+    ///
+    /// # Errors
+    /// [`PersonalisationError`] if sizes differ, a mean is not finite or a standard deviation not positive.
+    pub fn new(mean: DVector<f64>, sd: DVector<f64>) -> Result<Self, PersonalisationError> {
+        if mean.len() != sd.len() {
+            return Err(PersonalisationError::Shape { what: "prior standard deviations", found: sd.len(), expected: mean.len() });
+        }
+        if let Some(&value) = sd.iter().find(|&&sd| sd.is_nan() || sd <= 0.0) {
+            let remedy = "must be positive (infinite for none)";
+            return Err(PersonalisationError::Setting { what: "prior standard deviation", value, remedy });
+        }
+        if let Some(&value) = mean.iter().find(|mean| !mean.is_finite()) {
+            return Err(PersonalisationError::Setting { what: "prior mean", value, remedy: "must be finite" });
+        }
+        Ok(Self { mean, sd })
+    }
+
+    /// No prior on p coordinates.
+    pub fn none(dimension: usize) -> Self {
+        Self { mean: DVector::zeros(dimension), sd: DVector::from_element(dimension, f64::INFINITY) }
+    }
+
+    /// Rows at `coordinates`, one a coordinate; zero where there is no prior.
+    pub fn evaluate(&self, coordinates: &DVector<f64>) -> DVector<f64> {
+        (coordinates - &self.mean).component_div(&self.sd)
+    }
+
+    /// 1/s² a coordinate.
+    pub fn precision(&self) -> DVector<f64> {
+        self.sd.map(|sd| 1.0 / (sd * sd))
+    }
+
+    /// Standard deviations s.
+    pub fn sd(&self) -> &DVector<f64> {
+        &self.sd
+    }
+
+    /// Means μ.
+    pub fn mean(&self) -> &DVector<f64> {
+        &self.mean
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rows of a plain vector, scaled.
+    struct Scaled(f64, usize, Loss);
+
+    impl Residual<Vec<f64>> for Scaled {
+        fn row_count(&self) -> usize {
+            self.1
+        }
+        fn evaluate(&self, trajectory: &Vec<f64>, rows: &mut [f64]) {
+            for (row, value) in rows.iter_mut().zip(trajectory) {
+                *row = self.0 * value;
+            }
+        }
+        fn apply_tangent(&self, _: &Vec<f64>, tangent: &Vec<f64>, rows: &mut [f64]) {
+            self.evaluate(tangent, rows);
+        }
+        fn write_losses(&self, losses: &mut [Loss]) {
+            losses.fill(self.2);
+        }
+    }
+
+    #[test]
+    fn stacked_parts_keep_their_rows_losses_and_names() {
+        let huber = Loss::Huber { threshold: 1.5 };
+        let stack = StackedResidual::default().with("first", Scaled(1.0, 2, Loss::Squares)).with("second", Scaled(-2.0, 1, huber));
+        let mut rows = [0.0; 3];
+        stack.evaluate(&vec![3.0, 4.0], &mut rows);
+        assert_eq!(rows, [3.0, 4.0, -6.0]);
+        let mut losses = [Loss::Squares; 3];
+        stack.write_losses(&mut losses);
+        assert_eq!(losses, [Loss::Squares, Loss::Squares, huber]);
+        let rms = stack.rms_by_part(&DVector::from_column_slice(&rows)).unwrap();
+        assert_eq!(rms, [("first", 12.5_f64.sqrt()), ("second", 6.0)]);
+        assert!(stack.rms_by_part(&DVector::zeros(2)).is_err());
+    }
+
+    #[test]
+    fn a_prior_without_standard_deviation_pulls_nothing() {
+        let prior = PriorResidual::new(DVector::from_vec(vec![1.0, 5.0]), DVector::from_vec(vec![0.5, f64::INFINITY])).unwrap();
+        assert_eq!(prior.evaluate(&DVector::from_vec(vec![2.0, 9.0])).as_slice(), [2.0, 0.0]);
+        assert_eq!(prior.precision().as_slice(), [4.0, 0.0]);
+        assert!(PriorResidual::new(DVector::zeros(1), DVector::zeros(1)).is_err());
+    }
+}
