@@ -5,9 +5,15 @@ mod factor;
 mod krylov;
 mod quadratic_program;
 mod sparse;
+mod statistics;
+mod taylor;
 
 pub use error::LinearSolveError;
 pub use factor::{CholeskyFactor, CholeskyStructure, CholeskyWorkspace};
 pub use krylov::{ConjugateGradientOutcome, KrylovLimits, KrylovReport, KrylovWorkspace, conjugate_gradients, gmres};
 pub use quadratic_program::{QpError, QpSolution, QuadraticProgram};
 pub use sparse::{BlockMatrix, BlockPattern};
+pub use statistics::{
+    NORMAL_QUANTILE_95, chi_square_quantile, mean, median, quantile, robust_standard_deviation, root_mean_square, standard_deviation,
+};
+pub use taylor::TaylorTest;

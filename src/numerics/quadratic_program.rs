@@ -59,8 +59,10 @@ pub enum QpError {
         /// Upper bound.
         upper: f64,
     },
-    /// The trust radius or its scale is not positive.
-    #[error("quadratic program: trust region with radius {radius} and smallest scale {scale}; both must be positive")]
+    /// The trust radius is not positive or a scale is negative.
+    #[error(
+        "quadratic program: trust region with radius {radius} and smallest scale {scale}; the radius must be positive, no scale negative"
+    )]
     TrustRegion {
         /// Radius.
         radius: f64,
@@ -236,16 +238,16 @@ impl QuadraticProgram {
         Ok(self)
     }
 
-    /// Adds the trust region ‖diag(`scale`) x‖ ≤ `radius`.
+    /// Adds the trust region ‖diag(`scale`) x‖ ≤ `radius`; a scale of zero leaves a variable free of it.
     ///
     /// # Errors
-    /// [`QpError`] if sizes differ, or radius or scale is not positive and finite.
+    /// [`QpError`] if sizes differ, the radius is not positive, a scale is negative, or one of them is not finite.
     pub fn with_trust_region(mut self, scale: DVector<f64>, radius: f64) -> Result<Self, QpError> {
         check_shape("the trust region's scale", scale.len(), self.gradient.len())?;
         check_finite("the trust region's scale", scale.as_slice())?;
         check_finite("the trust radius", &[radius])?;
         let smallest = scale.iter().copied().fold(f64::INFINITY, f64::min);
-        if radius <= 0.0 || smallest <= 0.0 {
+        if radius <= 0.0 || smallest < 0.0 {
             return Err(QpError::TrustRegion { radius, scale: smallest });
         }
         self.trust = Some(TrustRegion { scale, radius });

@@ -44,7 +44,8 @@ impl LinearConstraint {
     pub fn ordered(space: &ParameterSpace, smaller: Parameter, larger: Parameter) -> Result<Self, PersonalisationError> {
         let label = format!("{} <= {}", smaller.spec().name, larger.spec().name);
         let (below, above) = (space.coordinate_index(smaller), space.coordinate_index(larger));
-        let transforms: Vec<_> = [below, above].iter().flatten().filter_map(|&index| space.free().nth(index)).map(|p| p.transform).collect();
+        let transforms: Vec<_> =
+            [below, above].iter().flatten().filter_map(|&index| space.free().nth(index)).map(|p| p.transform).collect();
         let refuse = |reason: &str| {
             let (name, region) = (smaller.spec().name, "constraint".to_owned());
             Err(PersonalisationError::FreeParameter { name, region, reason: format!("{label}: {reason}") })

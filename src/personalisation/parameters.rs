@@ -118,8 +118,7 @@ impl FreeParameter {
 
     fn check(&self) -> Result<(), PersonalisationError> {
         let spec = self.parameter.spec();
-        let refuse =
-            |reason: String| Err(PersonalisationError::FreeParameter { name: spec.name, region: self.region.clone(), reason });
+        let refuse = |reason: String| Err(PersonalisationError::FreeParameter { name: spec.name, region: self.region.clone(), reason });
         if !(self.lower < self.upper && self.lower >= spec.lower && self.upper <= spec.upper) {
             let (lower, upper, unit) = (self.lower, self.upper, spec.unit);
             return refuse(format!(
@@ -212,12 +211,10 @@ impl ParameterSpace {
         }
         let mut parameters = self.base.clone();
         for (entry, &coordinate) in self.free().zip(coordinates) {
-            let spec = entry.parameter.spec();
             let value = entry.transform.to_value(coordinate);
-            // exp(ln p) may leave a bound by rounding, and by nothing more.
-            let rounding = 1e-12 * value.abs();
-            let inside = value.clamp(spec.lower, spec.upper);
-            parameters.set(entry.parameter, if (inside - value).abs() <= rounding { inside } else { value })?;
+            // exp(ln p) misses a bound by rounding: a coordinate on its bound means the bound.
+            let bound = [entry.lower, entry.upper].into_iter().find(|bound| (bound - value).abs() <= 1e-12 * value.abs());
+            parameters.set(entry.parameter, bound.unwrap_or(value))?;
         }
         Ok(parameters)
     }

@@ -44,21 +44,57 @@ impl<T> Evaluation<T> {
     }
 }
 
-/// The objective to second order around one point: rows r, their Jacobian J (rows × p), Huber weights, H = JᵀWJ + S⁻², g = JᵀWr + S⁻²(θ − μ).
+/// The objective around one point: rows r, their Jacobian J (rows × p) and losses, and the prior.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Linearisation {
-    /// The point.
+    /// The point θ.
     pub coordinates: DVector<f64>,
     /// Data rows.
     pub rows: DVector<f64>,
     /// dr/dθ.
     pub jacobian: DMatrix<f64>,
-    /// Weights of the rows.
-    pub weights: DVector<f64>,
-    /// Gauss–Newton Hessian, prior included.
-    pub hessian: DMatrix<f64>,
-    /// Gradient of the objective, exact.
-    pub gradient: DVector<f64>,
+    /// Loss of every row.
+    pub losses: Vec<Loss>,
+    /// The prior.
+    pub prior: PriorResidual,
+}
+
+impl Linearisation {
+    /// Weights of iteratively reweighted least squares for rows `rows`.
+    pub fn weights(&self, rows: &DVector<f64>) -> DVector<f64> {
+        DVector::from_iterator(rows.len(), rows.iter().zip(&self.losses).map(|(&row, loss)| loss.weight(row)))
+    }
+
+    /// H = JᵀWJ + S⁻² and g = JᵀWr + S⁻²(θ − μ). With the weights of `self.rows`, g is the exact gradient of the objective.
+    pub fn quadratic_model(&self, weights: &DVector<f64>) -> (DMatrix<f64>, DVector<f64>) {
+        let mut weighted = self.jacobian.clone();
+        for (mut row, &weight) in weighted.row_iter_mut().zip(weights) {
+            row *= weight;
+        }
+        let precision = self.prior.precision();
+        let hessian = self.jacobian.tr_mul(&weighted) + DMatrix::from_diagonal(&precision);
+        // The two triangles of the product are rounded differently.
+        let hessian = (&hessian + hessian.transpose()) * 0.5;
+        let gradient = weighted.tr_mul(&self.rows) + precision.component_mul(&(&self.coordinates - self.prior.mean()));
+        (hessian, gradient)
+    }
+
+    /// Gradient of the objective.
+    pub fn gradient(&self) -> DVector<f64> {
+        self.quadratic_model(&self.weights(&self.rows)).1
+    }
+
+    /// Σ ρ(r + Jδ) + ½ ‖(θ + δ − μ)/s‖²: the objective with linearised residuals.
+    pub fn model_cost(&self, step: &DVector<f64>) -> f64 {
+        let rows = &self.rows + &self.jacobian * step;
+        let data: f64 = rows.iter().zip(&self.losses).map(|(&row, loss)| loss.value(row)).sum();
+        data + 0.5 * self.prior.evaluate(&(&self.coordinates + step)).norm_squared()
+    }
+
+    /// Whether any loss is not quadratic.
+    pub fn is_robust(&self) -> bool {
+        self.losses.iter().any(|loss| *loss != Loss::Squares)
+    }
 }
 
 impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
@@ -66,11 +102,7 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
     ///
     /// # Errors
     /// [`PersonalisationError`] for a prior that is none.
-    pub fn new(
-        model: &'a M,
-        residual: &'a dyn Residual<M::Trajectory>,
-        space: &ParameterSpace,
-    ) -> Result<Self, PersonalisationError> {
+    pub fn new(model: &'a M, residual: &'a dyn Residual<M::Trajectory>, space: &ParameterSpace) -> Result<Self, PersonalisationError> {
         let prior = PriorResidual::new(space.prior_mean(), space.prior_sd())?;
         Self::in_box(model, residual, prior, space.lower(), space.upper())
     }
@@ -169,7 +201,7 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
         Ok(Evaluation { trajectory, rows, data_cost, prior_cost, violation })
     }
 
-    /// The objective to second order around a point already evaluated.
+    /// The linearised residuals at a point already evaluated.
     ///
     /// # Errors
     /// As [`Self::evaluate`].
@@ -195,17 +227,8 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
             let (row, coordinates) = (entry % rows.len().max(1), coordinates.iter().copied().collect());
             return Err(PersonalisationError::NonFiniteResidual { row, value: f64::NAN, coordinates });
         }
-        let weights = DVector::from_iterator(rows.len(), rows.iter().zip(&self.losses).map(|(&row, loss)| loss.weight(row)));
-        let mut weighted = jacobian.clone();
-        for (mut row, &weight) in weighted.row_iter_mut().zip(&weights) {
-            row *= weight;
-        }
-        let precision = self.prior.precision();
-        let hessian = jacobian.tr_mul(&weighted) + DMatrix::from_diagonal(&precision);
-        // Products of the two triangles are rounded differently.
-        let hessian = (&hessian + hessian.transpose()) * 0.5;
-        let gradient = weighted.tr_mul(&rows) + precision.component_mul(&(coordinates - self.prior.mean()));
-        Ok(Linearisation { coordinates: coordinates.clone(), rows, jacobian, weights, hessian, gradient })
+        let (losses, prior) = (self.losses.clone(), self.prior.clone());
+        Ok(Linearisation { coordinates: coordinates.clone(), rows, jacobian, losses, prior })
     }
 
     fn check_stop(&self) -> Result<(), PersonalisationError> {

@@ -202,8 +202,7 @@ mod tests {
             simulate(theta)
         };
         let wide = DVector::from_element(2, 10.0);
-        let model =
-            FiniteDifferenceModel::new(counted, DifferenceScheme::Forward, DVector::from_element(2, 1e-4), -&wide, wide.clone());
+        let model = FiniteDifferenceModel::new(counted, DifferenceScheme::Forward, DVector::from_element(2, 1e-4), -&wide, wide.clone());
         let theta = DVector::from_vec(vec![0.3, 0.6]);
         model.simulate(&theta).unwrap();
         model.simulate_with_tangents(&theta).unwrap();

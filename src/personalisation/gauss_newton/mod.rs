@@ -319,3 +319,6 @@ fn own_problem<'p, 'a, M: TangentModel>(
 ) -> Result<&'p CalibrationProblem<'a, M>, PersonalisationError> {
     problem.problem.as_ref().ok_or_else(|| PersonalisationError::Optimiser("no problem".to_owned()))
 }
+
+#[cfg(test)]
+mod tests;
