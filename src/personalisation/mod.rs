@@ -25,6 +25,9 @@ pub use residuals::{
 };
 pub use tangents::{DifferenceScheme, FiniteDifferenceModel, LinearTrajectory};
 
+/// A trajectory and its derivative in each parameter, or why there is none.
+pub type WithTangents<T, E> = Result<(T, Vec<T>), E>;
+
 /// A model whose trajectories can be differentiated in its parameters.
 pub trait TangentModel: Sync {
     /// What is compared with data; a tangent has the same shape.
@@ -42,7 +45,7 @@ pub trait TangentModel: Sync {
     ///
     /// # Errors
     /// The model's own.
-    fn simulate_with_tangents(&self, parameters: &DVector<f64>) -> Result<(Self::Trajectory, Vec<Self::Trajectory>), Self::Error>;
+    fn simulate_with_tangents(&self, parameters: &DVector<f64>) -> WithTangents<Self::Trajectory, Self::Error>;
 }
 
 /// Rows that compare a trajectory with data, already divided by their standard deviations.

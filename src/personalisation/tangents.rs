@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 use nalgebra::{DVector, Vector3};
 use rayon::prelude::*;
 
-use super::TangentModel;
+use super::{TangentModel, WithTangents};
 
 /// A trajectory that can be subtracted and divided.
 pub trait LinearTrajectory: Clone + Send + Sync {
@@ -67,10 +67,10 @@ where
     }
 
     fn simulate_once(&self, parameters: &DVector<f64>) -> Result<T, E> {
-        if let Some((at, trajectory)) = self.last.lock().unwrap_or_else(PoisonError::into_inner).as_ref() {
-            if at == parameters {
-                return Ok(trajectory.clone());
-            }
+        if let Some((at, trajectory)) = self.last.lock().unwrap_or_else(PoisonError::into_inner).as_ref()
+            && at == parameters
+        {
+            return Ok(trajectory.clone());
         }
         let trajectory = (self.simulate)(parameters)?;
         *self.last.lock().unwrap_or_else(PoisonError::into_inner) = Some((parameters.clone(), trajectory.clone()));
@@ -92,11 +92,13 @@ where
             let taken = (parameters[index] + shift) - parameters[index];
             self.shifted(parameters, index, shift).map(|there| there.difference_quotient(base, taken))
         };
-        if self.scheme == DifferenceScheme::Central && room_above >= step && room_below >= step {
-            if let (Ok(above), Ok(below)) = (self.shifted(parameters, index, step), self.shifted(parameters, index, -step)) {
-                let taken = (parameters[index] + step) - (parameters[index] - step);
-                return Ok(above.difference_quotient(&below, taken));
-            }
+        if self.scheme == DifferenceScheme::Central
+            && room_above >= step
+            && room_below >= step
+            && let (Ok(above), Ok(below)) = (self.shifted(parameters, index, step), self.shifted(parameters, index, -step))
+        {
+            let taken = (parameters[index] + step) - (parameters[index] - step);
+            return Ok(above.difference_quotient(&below, taken));
         }
         let first = if room_above >= step || room_above >= room_below { step.min(room_above) } else { -step.min(room_below) };
         one_sided(first).or_else(|error| {
@@ -119,7 +121,7 @@ where
         self.simulate_once(parameters)
     }
 
-    fn simulate_with_tangents(&self, parameters: &DVector<f64>) -> Result<(T, Vec<T>), E> {
+    fn simulate_with_tangents(&self, parameters: &DVector<f64>) -> WithTangents<T, E> {
         let base = self.simulate_once(parameters)?;
         let tangents: Result<Vec<T>, E> =
             (0..parameters.len()).into_par_iter().map(|index| self.tangent(parameters, &base, index)).collect();

@@ -87,6 +87,9 @@ pub struct GaussNewtonQp<'o, T> {
     outcome: Option<CalibrationOutcome>,
 }
 
+/// A point and the objective there.
+type Reached<T> = (DVector<f64>, Evaluation<T>);
+
 /// What became of a proposed step.
 enum Trial<T> {
     Accepted { evaluation: Evaluation<T>, gain_ratio: f64 },
@@ -189,8 +192,9 @@ impl<'o, T> GaussNewtonQp<'o, T> {
             Err(PersonalisationError::Simulation { .. } | PersonalisationError::NonFiniteResidual { .. }) => f64::NEG_INFINITY,
             Err(_) => return reached.map(|_| Trial::Rejected).map_err(Error::from),
         };
-        // Written so that a ratio that is not a number shrinks the radius too.
-        if !(gain_ratio >= POOR_GAIN) {
+        // No prediction and no answer (0/0) is no gain.
+        let gain_ratio = if gain_ratio.is_nan() { f64::NEG_INFINITY } else { gain_ratio };
+        if gain_ratio < POOR_GAIN {
             self.radius = 0.25 * self.radius.min(proposal.norm);
         } else if gain_ratio > GOOD_GAIN && proposal.on_trust_boundary {
             self.radius = (2.0 * self.radius).min(LARGEST_RADIUS);
@@ -208,7 +212,7 @@ impl<'o, T> GaussNewtonQp<'o, T> {
         evaluation: &Evaluation<T>,
         linearisation: &Linearisation,
         iteration: u64,
-    ) -> Result<Option<(DVector<f64>, Evaluation<T>)>, Error> {
+    ) -> Result<Option<Reached<T>>, Error> {
         let theta = &linearisation.coordinates;
         let mut trials = 0;
         loop {

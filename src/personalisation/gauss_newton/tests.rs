@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use super::*;
 use crate::numerics::QuadraticProgram;
-use crate::personalisation::{DifferenceScheme, FiniteDifferenceModel, LinearConstraint, Loss, PriorResidual, Residual};
+use crate::personalisation::{DifferenceScheme, FiniteDifferenceModel, LinearConstraint, Loss, PriorResidual, Residual, WithTangents};
 
 #[derive(Debug, thiserror::Error)]
 #[error("outside the domain")]
@@ -40,7 +40,7 @@ where
         (self.rows)(theta)
     }
 
-    fn simulate_with_tangents(&self, theta: &DVector<f64>) -> Result<(DVector<f64>, Vec<DVector<f64>>), OutOfDomain> {
+    fn simulate_with_tangents(&self, theta: &DVector<f64>) -> WithTangents<DVector<f64>, OutOfDomain> {
         let jacobian = (self.jacobian)(theta);
         Ok(((self.rows)(theta)?, jacobian.column_iter().map(|column| column.into_owned()).collect()))
     }
