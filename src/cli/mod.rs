@@ -1,8 +1,54 @@
 //! The command line: arguments, progress, messages, exit codes.
 
+mod arguments;
+mod exit;
+mod messages;
+
+use std::io::Write;
 use std::process::ExitCode;
+
+use anyhow::Context;
+use clap::Parser;
+
+use self::arguments::{Arguments, Command, StudyArguments};
+use self::exit::Exit;
+use crate::study::{Config, Plan, StudyError};
 
 /// Runs the program with the arguments of the process.
 pub fn main() -> ExitCode {
-    ExitCode::SUCCESS
+    std::panic::set_hook(Box::new(|panic| {
+        say(&format!("error: the program met a state that it holds to be impossible: {panic}\n  please report it with the study file"));
+    }));
+    let result = match Arguments::parse().command {
+        Command::Check(arguments) => check_study(arguments),
+        Command::Parameters => print(&messages::parameter_table()).map(|()| Exit::Done),
+    };
+    let exit = result.unwrap_or_else(|error| {
+        say(&messages::error_chain(error.as_ref()));
+        if error.is::<StudyError>() { Exit::BadInput } else { Exit::Failed }
+    });
+    exit.into()
+}
+
+fn plan_of(arguments: StudyArguments) -> Result<Plan, StudyError> {
+    let (file, overrides) = arguments.into_parts();
+    Plan::new(&Config::read(&file, overrides)?)
+}
+
+fn check_study(arguments: StudyArguments) -> anyhow::Result<Exit> {
+    print(&messages::plan_lines(&plan_of(arguments)?))?;
+    Ok(Exit::Done)
+}
+
+/// Prints to stdout; a reader that has gone away, as `head` does, is no error.
+fn print(text: &str) -> anyhow::Result<()> {
+    match std::io::stdout().lock().write_all(text.as_bytes()) {
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        other => other.context("cannot write to stdout"),
+    }
+}
+
+/// A line on stderr; when nobody can read it, nothing is lost.
+fn say(line: &str) {
+    let _ = writeln!(std::io::stderr().lock(), "{line}");
 }

@@ -14,3 +14,4 @@ pub use outcome::{Outcome, Status};
 pub use plan::{Kind, Plan};
 pub use progress::{Progress, RunContext, Silent};
 pub use provenance::Provenance;
+pub use reader::Choice;

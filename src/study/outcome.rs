@@ -5,8 +5,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 /// How a run ended; not to converge is an outcome, not an error.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Status {
     /// It went to its end (a search: its steps became small).
     Converged,
@@ -18,6 +17,25 @@ pub enum Status {
     Stopped,
     /// It could not be completed; what it had by then is written.
     Failed,
+}
+
+impl Status {
+    /// The word of `summary.json`.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Converged => "converged",
+            Self::OnBound => "on_bound",
+            Self::IterationLimit => "iteration_limit",
+            Self::Stopped => "stopped",
+            Self::Failed => "failed",
+        }
+    }
+}
+
+impl Serialize for Status {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.word())
+    }
 }
 
 /// What a run left.

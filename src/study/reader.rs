@@ -12,9 +12,14 @@ use super::{Config, Problem};
 use crate::heart::{Parameter, Parameters, Section};
 
 /// A closed set of words of the study file.
-pub(super) trait Choice: Copy + 'static {
+pub trait Choice: Copy + PartialEq + 'static {
     /// Each value with its word.
     const WORDS: &'static [(&'static str, Self)];
+
+    /// The word of the study file.
+    fn word(self) -> &'static str {
+        Self::WORDS.iter().find(|(_, value)| *value == self).map_or("", |(word, _)| word)
+    }
 }
 
 /// Collects the problems of one study file.

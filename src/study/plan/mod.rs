@@ -34,13 +34,6 @@ macro_rules! words {
         impl $crate::study::reader::Choice for $name {
             const WORDS: &'static [(&'static str, Self)] = &[$(($word, Self::$value)),*];
         }
-
-        impl $name {
-            /// The word of the study file.
-            pub fn word(self) -> &'static str {
-                match self { $(Self::$value => $word),* }
-            }
-        }
     };
 }
 pub(super) use words;

@@ -1,6 +1,6 @@
 //! `[output]`: where results go and how much of them.
 
-use std::path::PathBuf;
+use std::path::{Component, Path, PathBuf};
 
 use crate::study::Config;
 use crate::study::reader::TableReader;
@@ -21,7 +21,7 @@ pub struct OutputPlan {
 }
 
 pub(super) fn read(config: &Config, table: TableReader) -> OutputPlan {
-    let written = config.folder().join(table.text("directory").unwrap_or("results"));
+    let written = shortened(&config.folder().join(table.text("directory").unwrap_or("results")));
     let plan = OutputPlan {
         directory: config.overrides.output.clone().unwrap_or(written),
         meshes: table.flag("meshes", true),
@@ -34,4 +34,27 @@ pub(super) fn read(config: &Config, table: TableReader) -> OutputPlan {
     }
     table.close();
     plan
+}
+
+/// The path without the folders that it enters only to leave them again.
+fn shortened(path: &Path) -> PathBuf {
+    let mut short = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::ParentDir if matches!(short.components().next_back(), Some(Component::Normal(_))) => drop(short.pop()),
+            other => short.push(other),
+        }
+    }
+    short
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn detours_are_cut_and_the_way_up_is_kept() {
+        assert_eq!(shortened(Path::new("studies/01/../../results/01")), Path::new("results/01"));
+        assert_eq!(shortened(Path::new("../a/./../../b")), Path::new("../../b"));
+    }
 }

@@ -1,0 +1,49 @@
+//! What can be typed.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::study::Overrides;
+
+/// From cine MRI to a personalised, beating, electromechanical heart.
+#[derive(Debug, Parser)]
+#[command(name = "cardiotwin", version, after_help = EXIT_CODES)]
+pub(super) struct Arguments {
+    #[command(subcommand)]
+    pub(super) command: Command,
+}
+
+const EXIT_CODES: &str = "\
+Exit codes: 0 done; 1 a run failed; 2 a study file or an argument is wrong; 130 stopped by Ctrl-C (what was found is written).";
+
+#[derive(Debug, Subcommand)]
+pub(super) enum Command {
+    /// Say what a study would do, or what is wrong with its file
+    Check(StudyArguments),
+    /// List every parameter of the model: name, unit, default, range, meaning, source
+    Parameters,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct StudyArguments {
+    /// The study file
+    #[arg(value_name = "STUDY.toml")]
+    study: PathBuf,
+    /// Folder of the results, in place of output.directory
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// Folder of the data, in place of the study file's `data`
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Set a key of the study file, such as mechanics.step_s=0.005; may be repeated
+    #[arg(long = "set", value_name = "TABLE.KEY=VALUE")]
+    settings: Vec<String>,
+}
+
+impl StudyArguments {
+    /// The study file and what the command line changes in it.
+    pub(super) fn into_parts(self) -> (PathBuf, Overrides) {
+        (self.study, Overrides { data: self.data, output: self.output, settings: self.settings })
+    }
+}
