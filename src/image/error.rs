@@ -21,10 +21,19 @@ pub enum ImageError {
     /// The affine map from voxels to world is singular or not finite.
     #[error("the voxel-to-world matrix is singular or not finite; check the image's sform or qform")]
     SingularAffine,
+    /// A grid without voxels.
+    #[error("a grid of {shape:?} voxels is empty")]
+    EmptyGrid { shape: [usize; 3] },
     /// Frames, times or grids of a cine sequence contradict each other.
     #[error("the cine sequence is inconsistent: {reason}")]
     InconsistentCine { reason: String },
     /// A label map does not describe a ventricle.
     #[error("the labels cannot be used: {reason}")]
     UnusableMask { reason: String },
+    /// Images cannot be prepared as asked.
+    #[error("the images cannot be prepared: {reason}")]
+    Preprocessing { reason: String },
+    /// Volumes, times or settings of a volume curve contradict each other.
+    #[error("the volume curve is inconsistent: {reason}")]
+    InconsistentVolumeCurve { reason: String },
 }

@@ -16,8 +16,11 @@ impl Grid {
     /// A grid of `shape` voxels (i, j, k) with the affine `voxel_to_world` (index → mm, last row 0 0 0 1).
     ///
     /// # Errors
-    /// [`ImageError::SingularAffine`] if the map cannot be inverted.
+    /// [`ImageError::SingularAffine`] if the map cannot be inverted, [`ImageError::EmptyGrid`] if a side has no voxels.
     pub fn new(shape: [usize; 3], voxel_to_world: Matrix4<f64>) -> Result<Self, ImageError> {
+        if shape.contains(&0) {
+            return Err(ImageError::EmptyGrid { shape });
+        }
         let world_to_voxel = voxel_to_world.try_inverse().ok_or(ImageError::SingularAffine)?;
         if !voxel_to_world.iter().chain(world_to_voxel.iter()).all(|x| x.is_finite()) {
             return Err(ImageError::SingularAffine);

@@ -7,8 +7,10 @@ mod mask;
 mod nifti;
 mod preprocess;
 mod sampling;
+mod smoothing;
 mod timing;
 mod volume;
+mod volume_curve;
 
 pub use cine::CineSequence;
 pub use error::ImageError;
@@ -17,5 +19,7 @@ pub use mask::{ApexEnd, BaseCut, FieldOptions, FieldReport, Plane, VentricleCode
 pub use nifti::{CineReading, NiftiImage, read_cine, read_label_map, read_label_maps, read_nifti};
 pub use preprocess::{PREPARED_MAX, PreprocessSettings, preprocess};
 pub use sampling::CineInstant;
+pub use smoothing::gaussian_smoothed;
 pub use timing::CineTiming;
 pub use volume::{LabelMap, Volume};
+pub use volume_curve::{CurvePoint, MidDiastole, VolumeCurve};

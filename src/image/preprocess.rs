@@ -1,18 +1,24 @@
-//! Preparation of a cine sequence: isotropic voxels, extreme intensities clipped, 0 to 255, all frames alike, [Billet2009] §6.2.
+//! The preparation of cine images for tracking: isotropic voxels, clipped extremes, grey levels from 0 to 255 ([Billet2009] §6.2).
+//!
+//! With the quantiles q₋ and q₊ of the intensities of all frames together, every frame becomes
+//!
+//! $$ I' = 255\,\frac{\min(\max(I, q_-), q_+) - q_-}{q_+ - q_-}, $$
+//!
+//! trilinearly resampled. One scale for all frames: a boundary keeps its grey level through the beat.
 
-use nalgebra::{Matrix4, Vector3};
+use nalgebra::Matrix4;
 use rayon::prelude::*;
 
 use super::{CineSequence, Grid, ImageError, Volume};
 
-/// How a cine sequence is prepared.
+/// How images are prepared.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PreprocessSettings {
-    /// Voxel edge after resampling, mm; the smallest of the image where absent.
+    /// Voxel edge after resampling, mm; `None` is the finest spacing of the images.
     pub spacing_mm: Option<f64>,
-    /// Intensities below this quantile of all frames become 0.
+    /// Intensities below this quantile become 0.
     pub quantile_low: f64,
-    /// Intensities above this quantile of all frames become 255.
+    /// Intensities above this quantile become 255.
     pub quantile_high: f64,
 }
 
@@ -25,104 +31,160 @@ impl Default for PreprocessSettings {
 /// The largest intensity of a prepared image.
 pub const PREPARED_MAX: f64 = 255.0;
 
-/// Prepares a sequence: trilinear resampling between the centres of the first and the last voxels, clipping at quantiles of all frames
-/// together, linear rescaling to 0..255.
+/// Resamples, clips and rescales all frames alike. The new grid has the old one's axes and first voxel and does not reach beyond the old
+/// outermost voxel centres.
 ///
 /// # Errors
-/// [`ImageError::InconsistentCine`] if the settings make no sense or the images have no contrast between the quantiles.
+/// [`ImageError::Preprocessing`] if the settings are senseless or the quantiles coincide (an image without contrast).
 pub fn preprocess(cine: &CineSequence, settings: &PreprocessSettings) -> Result<CineSequence, ImageError> {
-    let inconsistent = |reason: String| Err(ImageError::InconsistentCine { reason });
     let (low, high) = (settings.quantile_low, settings.quantile_high);
-    if !(0.0..1.0).contains(&low) || !(low..=1.0).contains(&high) {
-        return inconsistent(format!("the clipping quantiles {low} and {high} must ascend between 0 and 1"));
+    if !(0.0 <= low && low < high && high <= 1.0) {
+        return Err(ImageError::Preprocessing { reason: format!("the quantiles {low} and {high} must ascend within 0 to 1") });
     }
-    let spacing_mm = settings.spacing_mm.unwrap_or_else(|| cine.grid().spacing_mm().min());
-    if !(spacing_mm.is_finite() && spacing_mm > 0.0) {
-        return inconsistent(format!("a voxel edge of {spacing_mm} mm cannot be resampled to"));
+    let mut intensities: Vec<f32> = cine.frames().iter().flat_map(|frame| frame.values().iter().copied()).collect();
+    let [from, to] = [low, high].map(|q| quantile(&mut intensities, q));
+    drop(intensities);
+    if to <= from {
+        let reason = format!("the intensities' quantiles {low} and {high} are both {from}: the images have no contrast there");
+        return Err(ImageError::Preprocessing { reason });
     }
-    let [black, white] = quantiles(cine, [low, high]);
-    if white <= black {
-        return inconsistent(format!("its intensities do not differ between the quantiles {low} and {high} (both {black})"));
-    }
-    let grid = isotropic_grid(cine.grid(), spacing_mm)?;
-    let scale = PREPARED_MAX / (white - black);
-    let prepare = |frame: &Volume| {
-        let value = |voxel: [usize; 3]| {
-            let at = grid.to_world_mm(&Vector3::from(voxel.map(|index| index as f64)));
-            let clipped = frame.sample(&at).unwrap_or(black).clamp(black, white);
-            ((clipped - black) * scale) as f32
-        };
-        let values = (0..grid.voxel_count()).into_par_iter().map(|flat| value(grid.voxel_of(flat))).collect();
+    let grid = isotropic_grid(cine.grid(), settings.spacing_mm)?;
+    let scale = (PREPARED_MAX / (f64::from(to) - f64::from(from))) as f32;
+    let frame = |frame: &Volume| {
+        let mut values = resampled(frame.values(), frame.grid(), &grid);
+        values.iter_mut().for_each(|v| *v = ((v.clamp(from, to) - from) * scale).min(PREPARED_MAX as f32));
         Volume::new(grid.clone(), values)
     };
-    let frames = cine.frames().iter().map(prepare).collect::<Result<_, _>>()?;
+    let frames = cine.frames().par_iter().map(frame).collect::<Result<Vec<_>, _>>()?;
     CineSequence::new(frames, cine.times_s().to_vec(), cine.period_s())
 }
 
-/// The grid of cubes of edge `spacing_mm` with the first voxel's centre and the axes of `grid`, as far as its last voxels' centres.
-fn isotropic_grid(grid: &Grid, spacing_mm: f64) -> Result<Grid, ImageError> {
-    let spacings_mm = grid.spacing_mm();
-    let mut shape = grid.shape();
-    let mut affine: Matrix4<f64> = *grid.voxel_to_world();
-    for axis in 0..3 {
-        let length_mm = (shape[axis].max(1) - 1) as f64 * spacings_mm[axis];
-        // A last centre that misses by rounding is still there; sampling it is forgiven by the interpolation's own tolerance.
-        shape[axis] = (length_mm / spacing_mm + 1e-6).floor() as usize + 1;
-        let column = affine.fixed_view::<3, 1>(0, axis) * (spacing_mm / spacings_mm[axis]);
-        affine.fixed_view_mut::<3, 1>(0, axis).copy_from(&column);
-    }
-    Grid::new(shape, affine)
+/// The value below which a fraction `q` of the values lie (the nearest rank); reorders them.
+fn quantile(values: &mut [f32], q: f64) -> f32 {
+    let rank = (q * (values.len() - 1) as f64).round() as usize;
+    *values.select_nth_unstable_by(rank, f32::total_cmp).1
 }
 
-/// Quantiles of the intensities of all frames together.
-fn quantiles<const N: usize>(cine: &CineSequence, shares: [f64; N]) -> [f64; N] {
-    let mut values: Vec<f32> = cine.frames().iter().flat_map(|frame| frame.values().iter().copied()).collect();
-    let last = values.len().saturating_sub(1) as f64;
-    shares.map(|share| {
-        let (_, value, _) = values.select_nth_unstable_by((share * last).round() as usize, f32::total_cmp);
-        f64::from(*value)
-    })
+fn isotropic_grid(grid: &Grid, spacing_mm: Option<f64>) -> Result<Grid, ImageError> {
+    const VOXELS_MAX: f64 = 5e8;
+    let old_mm = grid.spacing_mm();
+    let step_mm = spacing_mm.unwrap_or(old_mm.min());
+    let counts = [0, 1, 2].map(|axis| ((grid.shape()[axis] - 1) as f64 * old_mm[axis] / step_mm + 1e-6).floor() + 1.0);
+    if !(step_mm > 0.0 && step_mm.is_finite() && counts.iter().product::<f64>() <= VOXELS_MAX) {
+        let reason = format!("voxels of {step_mm} mm make a grid of {counts:?}; choose a coarser isotropic spacing");
+        return Err(ImageError::Preprocessing { reason });
+    }
+    let scale = Matrix4::new_nonuniform_scaling(&old_mm.map(|old| step_mm / old));
+    Grid::new(counts.map(|n| n as usize), grid.voxel_to_world() * scale)
+}
+
+/// Trilinear values on a grid with the same axes and first voxel.
+fn resampled(values: &[f32], old: &Grid, new: &Grid) -> Vec<f32> {
+    let ratio = new.spacing_mm().component_div(&old.spacing_mm());
+    let [i_nodes, j_nodes, k_nodes] = [0, 1, 2].map(|axis| nodes(new.shape()[axis], old.shape()[axis], ratio[axis]));
+    let [ni, nj, _] = old.shape();
+    let mut resampled = Vec::with_capacity(new.voxel_count());
+    for k in &k_nodes {
+        for j in &j_nodes {
+            let row = |j: usize, k: usize| &values[ni * (j + nj * k)..][..ni];
+            let rows = [row(j.lower, k.lower), row(j.upper, k.lower), row(j.lower, k.upper), row(j.upper, k.upper)];
+            resampled.extend(i_nodes.iter().map(|i| {
+                let along = rows.map(|row| mix(row[i.lower], row[i.upper], i.weight));
+                mix(mix(along[0], along[1], j.weight), mix(along[2], along[3], j.weight), k.weight)
+            }));
+        }
+    }
+    resampled
+}
+
+fn mix(a: f32, b: f32, weight: f32) -> f32 {
+    a + weight * (b - a)
+}
+
+/// Between which old voxels a new one lies along an axis.
+struct Node {
+    lower: usize,
+    upper: usize,
+    weight: f32,
+}
+
+fn nodes(new_count: usize, old_count: usize, ratio: f64) -> Vec<Node> {
+    let node = |n: usize| {
+        let at = (n as f64 * ratio).min((old_count - 1) as f64);
+        let lower = at as usize;
+        Node { lower, upper: (lower + 1).min(old_count - 1), weight: (at - lower as f64) as f32 }
+    };
+    (0..new_count).map(node).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::{Rotation3, Vector3};
 
-    fn cine(value: impl Fn(f64, f64, f64, f64) -> f64) -> CineSequence {
-        let grid = Grid::axis_aligned([9, 8, 5], Vector3::new(3.0, -2.0, 1.0), Vector3::new(2.0, 2.0, 8.0)).unwrap();
-        let frame = |t: f64| {
-            let at = |flat| grid.to_world_mm(&Vector3::from(grid.voxel_of(flat).map(|index: usize| index as f64)));
-            let values = (0..grid.voxel_count()).map(at).map(|p| value(p.x, p.y, p.z, t) as f32).collect();
-            Volume::new(grid.clone(), values).unwrap()
+    fn cine(field: impl Fn(usize, Vector3<f64>) -> f64) -> CineSequence {
+        let rotation = Rotation3::from_euler_angles(0.4, 0.2, -1.0).to_homogeneous();
+        let scale = Matrix4::new_nonuniform_scaling(&Vector3::new(1.5, 1.5, 8.0));
+        let grid = Grid::new([12, 10, 5], Matrix4::new_translation(&Vector3::new(3.0, 4.0, 5.0)) * rotation * scale).unwrap();
+        let frame = |n: usize| {
+            let value = |flat: usize| field(n, grid.to_world_mm(&Vector3::from(grid.voxel_of(flat).map(|v| v as f64)))) as f32;
+            Volume::new(grid.clone(), (0..grid.voxel_count()).map(value).collect()).unwrap()
         };
-        CineSequence::new(vec![frame(0.0), frame(1.0)], vec![0.0, 0.4], 0.8).unwrap()
+        CineSequence::new(vec![frame(0), frame(1)], vec![0.0, 0.4], 0.8).unwrap()
     }
 
     #[test]
-    fn a_linear_image_stays_linear_on_cubes_with_one_scale_for_all_frames() {
-        let linear = |x: f64, y: f64, z: f64, t: f64| x + 2.0 * y - 0.5 * z + 30.0 * t;
+    fn a_linear_image_stays_linear_in_the_world_on_isotropic_voxels() {
+        let source = cine(|frame, x| frame as f64 + 0.5 * x.x - x.y + 0.25 * x.z);
         let settings = PreprocessSettings { quantile_low: 0.0, quantile_high: 1.0, ..PreprocessSettings::default() };
-        let prepared = preprocess(&cine(linear), &settings).unwrap();
-        assert_eq!(prepared.grid().shape(), [9, 8, 17]);
-        assert!((prepared.grid().spacing_mm() - Vector3::repeat(2.0)).norm() < 1e-12);
-        let (least, most) = (linear(3.0, -2.0, 33.0, 0.0), linear(19.0, 12.0, 1.0, 1.0));
-        for (t, frame) in prepared.frames().iter().enumerate() {
-            for flat in 0..frame.grid().voxel_count() {
-                let p = frame.grid().to_world_mm(&Vector3::from(frame.grid().voxel_of(flat).map(|index| index as f64)));
-                let expected = 255.0 * (linear(p.x, p.y, p.z, t as f64) - least) / (most - least);
-                assert!((f64::from(frame.values()[flat]) - expected).abs() < 1e-3, "{flat}");
+        let prepared = preprocess(&source, &settings).unwrap();
+        let grid = prepared.grid();
+        assert!((grid.spacing_mm() - Vector3::repeat(1.5)).norm() < 1e-12);
+        assert_eq!(grid.shape(), [12, 10, 22]);
+        let intensities = || source.frames().iter().flat_map(|frame| frame.values()).map(|&v| f64::from(v));
+        let (from, to) = (intensities().fold(f64::INFINITY, f64::min), intensities().fold(f64::NEG_INFINITY, f64::max));
+        for (n, frame) in prepared.frames().iter().enumerate() {
+            for flat in 0..grid.voxel_count() {
+                let x = grid.to_world_mm(&Vector3::from(grid.voxel_of(flat).map(|v| v as f64)));
+                let expected = 255.0 * (n as f64 + 0.5 * x.x - x.y + 0.25 * x.z - from) / (to - from);
+                assert!((f64::from(frame.values()[flat]) - expected).abs() < 1e-3);
             }
         }
     }
 
     #[test]
-    fn extreme_intensities_are_clipped_and_no_contrast_is_refused() {
-        let spike = |x: f64, _: f64, _: f64, _: f64| if x > 18.0 { 1e6 } else { x };
-        let settings = PreprocessSettings { quantile_low: 0.05, quantile_high: 0.85, ..PreprocessSettings::default() };
-        let prepared = preprocess(&cine(spike), &settings).unwrap();
-        assert_eq!(prepared.frames()[0].at([0, 0, 0]), 0.0);
-        assert_eq!(prepared.frames()[0].at([7, 0, 0]), 255.0);
-        let error = preprocess(&cine(|_, _, _, _| 7.0), &PreprocessSettings::default()).unwrap_err();
-        assert!(error.to_string().contains("do not differ"), "{error}");
+    fn extremes_are_clipped_at_the_same_levels_in_all_frames() {
+        let source = cine(|frame, x| if frame == 1 && x.norm() < 12.0 { 1e6 } else { (x.x * 7.1).sin() });
+        let prepared =
+            preprocess(&source, &PreprocessSettings { quantile_low: 0.05, quantile_high: 0.9, ..PreprocessSettings::default() }).unwrap();
+        let values = || prepared.frames().iter().flat_map(|frame| frame.values());
+        assert!(values().all(|v| (0.0..=255.0).contains(v)));
+        assert!(values().any(|v| *v == 0.0) && values().any(|v| *v == 255.0));
+        // A voxel of frame 0 and one of frame 1 that had the same intensity have the same grey level.
+        let far = [11, 9, 4];
+        assert!(source.frames()[0].at(far) == source.frames()[1].at(far));
+        assert_eq!(prepared.frames()[0].at([11, 9, 21]), prepared.frames()[1].at([11, 9, 21]));
+    }
+
+    #[test]
+    fn result_does_not_depend_on_the_number_of_threads() {
+        let source = cine(|frame, x| (frame as f64 + 1.0) * (x.x * 0.3).sin() + x.y * 0.01);
+        let run = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| preprocess(&source, &PreprocessSettings::default()).unwrap())
+        };
+        assert_eq!(run(1), run(3));
+    }
+
+    #[test]
+    fn senseless_settings_and_flat_images_are_refused() {
+        let settings = |spacing_mm, quantile_low, quantile_high| PreprocessSettings { spacing_mm, quantile_low, quantile_high };
+        let source = cine(|_, x| x.x);
+        for bad in [settings(None, 0.9, 0.1), settings(None, f64::NAN, 1.0), settings(Some(0.0), 0.0, 1.0), settings(Some(1e-3), 0.0, 1.0)]
+        {
+            assert!(preprocess(&source, &bad).is_err(), "{bad:?}");
+        }
+        let message = preprocess(&cine(|_, _| 7.0), &PreprocessSettings::default()).unwrap_err().to_string();
+        assert!(message.contains("no contrast"), "{message}");
     }
 }
