@@ -35,23 +35,17 @@ pub fn build_lv(shape: &WallShape, mesher: &MesherSettings, settings: &AnatomySe
     complete_lv(mesh, surface, settings)
 }
 
-/// Meshes the left ventricle of an image's signed-distance fields and completes it. Where the wall is thinner than `minimum_wall_mm` the
-/// epicardium is moved outward: a lattice cannot show a wall much thinner than an edge.
+/// Meshes the left ventricle of an image's signed-distance fields and completes it.
 ///
 /// # Errors
-/// [`AnatomyError`] of [`build_lv`], or for a minimum wall that is negative or not finite.
+/// [`AnatomyError`] of [`build_lv`].
 pub fn build_lv_from_fields(
     fields: &VentricleFields,
-    minimum_wall_mm: f64,
     mesher: &MesherSettings,
     settings: &AnatomySettings,
 ) -> Result<Anatomy, AnatomyError> {
-    if !(minimum_wall_mm.is_finite() && minimum_wall_mm >= 0.0) {
-        let expectation = "be zero or positive";
-        return Err(AnatomyError::Setting { name: "the minimum wall in mm", value: minimum_wall_mm, expectation });
-    }
     let cavity = |p: &Vector3<f64>| distance_mm(&fields.cavity, p);
-    let epicardium = |p: &Vector3<f64>| distance_mm(&fields.epicardium, p).min(cavity(p) - minimum_wall_mm);
+    let epicardium = |p: &Vector3<f64>| distance_mm(&fields.epicardium, p);
     let shape = WallShape {
         epicardium: &epicardium,
         cavities: vec![(Ventricle::Left, &cavity)],

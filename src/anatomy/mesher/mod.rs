@@ -6,8 +6,10 @@
 
 mod lattice;
 mod optimise;
+mod stencils;
 mod stuffing;
 mod tagging;
+mod thin_walls;
 
 use nalgebra::Vector3;
 
@@ -61,7 +63,7 @@ pub struct WallShape<'a> {
 /// [`AnatomyError`] if the edge length is not positive, the lattice is too large, the function is not finite or nowhere negative.
 pub fn mesh_inside(level: &LevelSet, bounds_mm: &[Vector3<f64>; 2], settings: &MesherSettings) -> Result<TetMesh, AnatomyError> {
     let lattice = Lattice::around(bounds_mm, None, checked_spacing_mm(settings)?)?;
-    let mut mesh = stuffing::stuff(&lattice, level)?;
+    let mut mesh = stuffing::stuff(&lattice, level, &|_| 0)?;
     optimise::optimise(&mut mesh, level, &lattice, settings.optimisation_passes);
     Ok(TetMesh::new(mesh.vertices_mm, mesh.tetrahedra)?)
 }
@@ -80,7 +82,8 @@ pub fn mesh_wall(shape: &WallShape, settings: &MesherSettings) -> Result<(TetMes
     }
     let wall = |p: &Vector3<f64>| shape.cavities.iter().fold((shape.epicardium)(p), |level, (_, cavity)| level.max(-cavity(p)));
     let lattice = Lattice::around(&shape.bounds_mm, Some((shape.base_point_mm, shape.base_normal)), spacing_mm)?;
-    let mut stuffed = stuffing::stuff(&lattice, &wall)?;
+    let room = |p: &Vector3<f64>| shape.cavities.iter().zip(1..).find(|((_, cavity), _)| cavity(p) < 0.0).map_or(0, |(_, room)| room);
+    let mut stuffed = stuffing::stuff(&lattice, &wall, &room)?;
     tagging::keep_largest_piece(&mut stuffed);
     optimise::optimise(&mut stuffed, &wall, &lattice, settings.optimisation_passes);
     tagging::tag_wall(stuffed, shape)

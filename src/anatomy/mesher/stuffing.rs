@@ -4,12 +4,13 @@
 //! point closer than α edge lengths is moved onto it ("warped"), so that no short edges are left; the tetrahedra that still cross the
 //! surface are then replaced by a stencil of their inner part.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::lattice::Lattice;
+use super::stencils::Stencils;
 use super::{AnatomyError, LevelSet};
 
 /// Warping thresholds α as a fraction of the edge, for edges of h and √3/2 h: the pair of [Labelle2007] table 1 that guarantees the
@@ -28,9 +29,11 @@ pub(super) struct StuffedMesh {
     pub(super) is_in_plane: Vec<bool>,
 }
 
-/// Stuffs the inside of `level` (negative inside) with the tetrahedra of `lattice`.
-pub(super) fn stuff(lattice: &Lattice, level: &LevelSet) -> Result<StuffedMesh, AnatomyError> {
-    let mut stuffing = Stuffing::sample(lattice, level)?;
+/// Stuffs the inside of `level` (negative inside) with the tetrahedra of `lattice`. `room` numbers the parts of the outside (the blood of
+/// each ventricle, the chest): no two of them shall touch.
+pub(super) fn stuff(lattice: &Lattice, level: &LevelSet, room: &RoomOf) -> Result<StuffedMesh, AnatomyError> {
+    let mut stuffing = Stuffing::sample(lattice, level, room)?;
+    stuffing.hold_thin_walls(level);
     stuffing.cut_edges(level);
     stuffing.warp(level);
     let mesh = stuffing.fill();
@@ -40,28 +43,41 @@ pub(super) fn stuff(lattice: &Lattice, level: &LevelSet) -> Result<StuffedMesh, 
     Ok(mesh)
 }
 
+/// The least volume that warping may leave a tetrahedron, as a fraction of a lattice tetrahedron's.
+const LEAST_FLATNESS: f64 = 0.02;
+
+/// Tells the part of the outside that an outer point lies in.
+pub(super) type RoomOf<'a> = dyn Fn(&Vector3<f64>) -> u8 + Sync + 'a;
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Side {
+pub(super) enum Side {
     Inside,
     Surface,
     Outside,
 }
 
-struct Stuffing<'a> {
-    lattice: &'a Lattice,
-    position_mm: Vec<Vector3<f64>>,
-    level: Vec<f64>,
-    side: Vec<Side>,
+pub(super) struct Stuffing<'a> {
+    pub(super) lattice: &'a Lattice,
+    pub(super) position_mm: Vec<Vector3<f64>>,
+    pub(super) level: Vec<f64>,
+    pub(super) side: Vec<Side>,
+    /// The part of the outside; meaningless for points that are not outside.
+    pub(super) room: Vec<u8>,
     /// Lattice edges from inside to outside, lower point first, and their cut points.
     edges: Vec<[usize; 2]>,
     cuts_mm: Vec<Vector3<f64>>,
 }
 
 impl<'a> Stuffing<'a> {
-    fn sample(lattice: &'a Lattice, level: &LevelSet) -> Result<Self, AnatomyError> {
+    fn sample(lattice: &'a Lattice, level: &LevelSet, room: &RoomOf) -> Result<Self, AnatomyError> {
         let count = lattice.point_count();
         let position_mm: Vec<Vector3<f64>> = (0..count).map(|point| lattice.position_mm(point)).collect();
-        let level: Vec<f64> = position_mm.par_iter().map(level).collect();
+        // A point exactly on the surface counts as just inside; its cut points are at itself, and it will be moved there.
+        let value = |p: &Vector3<f64>| match level(p) {
+            0.0 => -f64::MIN_POSITIVE,
+            value => value,
+        };
+        let level: Vec<f64> = position_mm.par_iter().map(value).collect();
         if let Some(point) = level.iter().position(|value| !value.is_finite()) {
             return Err(AnatomyError::NonFiniteLevel { position_mm: position_mm[point] });
         }
@@ -75,7 +91,8 @@ impl<'a> Stuffing<'a> {
             }
         });
         let side = side.collect();
-        Ok(Self { lattice, position_mm, level, side, edges: vec![], cuts_mm: vec![] })
+        let room = position_mm.iter().map(room).collect();
+        Ok(Self { lattice, position_mm, level, side, room, edges: vec![], cuts_mm: vec![] })
     }
 
     fn crosses(&self, a: usize, b: usize) -> bool {
@@ -104,70 +121,105 @@ impl<'a> Stuffing<'a> {
     /// Moves lattice points onto cut points that are too near, in the order of the points; a point of the base plane stays in it. Where
     /// the wall is so thin that this would open or pinch it the point stays, at the price of the angle bound there.
     fn warp(&mut self, level: &LevelSet) {
-        let touching = self.edges_and_links();
-        let mut points: Vec<usize> = touching.keys().copied().collect();
-        points.sort_unstable();
-        for point in points {
-            let (edges, link) = &touching[&point];
-            let live = || edges.iter().copied().filter(|&edge| self.is_live(edge));
-            if !live().any(|edge| self.is_too_near(point, edge)) || !self.surface_may_pass(point, link) {
+        let touching = self.edges_at_points();
+        let stars = self.stars(touching.keys());
+        for (&point, edges) in &touching {
+            let star = &stars[&point];
+            let live: Vec<usize> = edges.iter().copied().filter(|&edge| self.is_live(edge) && self.is_too_near(point, edge)).collect();
+            let Some((target, room)) = self.target(point, &live, level) else {
                 continue;
-            }
-            let target = if self.lattice.is_in_plane(point) {
-                let inner = live().filter(|&edge| self.edges[edge].iter().all(|&end| self.lattice.is_in_plane(end)));
-                self.nearest_cut(point, inner).or_else(|| self.slide_in_plane(point, level))
-            } else {
-                self.nearest_cut(point, live())
             };
-            if let Some(target) = target {
+            if self.surface_may_pass(point, room, star) && self.stays_upright(point, &target, star, LEAST_FLATNESS) {
                 self.position_mm[point] = target;
                 self.side[point] = Side::Surface;
+                self.room[point] = room;
             }
         }
     }
 
-    /// For every end of a cut edge its cut edges, and its link: the triangles opposite to it in the tetrahedra that hold it.
-    fn edges_and_links(&self) -> HashMap<usize, (Vec<usize>, Vec<[usize; 3]>)> {
-        let mut touching: HashMap<usize, (Vec<usize>, Vec<[usize; 3]>)> = HashMap::new();
+    /// Where a point is to be moved, given the edges whose cut points are too near, and the room outside that surface.
+    fn target(&self, point: usize, edges: &[usize], level: &LevelSet) -> Option<(Vector3<f64>, u8)> {
+        let is_in_plane = self.lattice.is_in_plane(point);
+        let distance = |edge: &usize| (self.cuts_mm[*edge] - self.position_mm[point]).norm_squared();
+        let nearest = |edges: &mut dyn Iterator<Item = usize>| edges.min_by(|a, b| distance(a).total_cmp(&distance(b)));
+        let room = |edge: usize| self.edges[edge].into_iter().find(|&end| self.side[end] == Side::Outside).map_or(0, |end| self.room[end]);
+        let is_admissible = |edge: &usize| !is_in_plane || self.edges[*edge].iter().all(|&end| self.lattice.is_in_plane(end));
+        if let Some(edge) = nearest(&mut edges.iter().copied().filter(is_admissible)) {
+            return Some((self.cuts_mm[edge], room(edge)));
+        }
+        let edge = nearest(&mut edges.iter().copied())?;
+        Some((self.slide_in_plane(point, level)?, room(edge)))
+    }
+
+    /// For every end of a cut edge its cut edges.
+    fn edges_at_points(&self) -> BTreeMap<usize, Vec<usize>> {
+        let mut touching: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         for (edge, ends) in self.edges.iter().enumerate() {
             for &point in ends {
-                touching.entry(point).or_default().0.push(edge);
+                touching.entry(point).or_default().push(edge);
             }
         }
-        self.lattice.for_each_tetrahedron(|[a, b, c, d]| {
-            for (point, triangle) in [(a, [b, c, d]), (b, [a, c, d]), (c, [a, b, d]), (d, [a, b, c])] {
-                if let Some((_, link)) = touching.get_mut(&point) {
-                    link.push(triangle);
-                }
-            }
-        });
         touching
     }
 
-    /// Whether the surface may be led through a lattice point without a change of topology: the inner points around it hang together,
-    /// and so do the outer ones; in the base plane also those of the plane alone.
-    fn surface_may_pass(&self, point: usize, link: &[[usize; 3]]) -> bool {
-        let hangs_together = |side: Side, only_in_plane: bool| {
-            let counts = |p: usize| self.side[p] == side && (!only_in_plane || self.lattice.is_in_plane(p));
-            let mut groups: Vec<Vec<usize>> = vec![];
-            for triangle in link {
-                let mut merged: Vec<usize> = triangle.iter().copied().filter(|&p| counts(p)).collect();
-                if merged.is_empty() {
-                    continue;
+    /// The tetrahedra that hold each of some points.
+    pub(super) fn stars<'b>(&self, points: impl Iterator<Item = &'b usize>) -> HashMap<usize, Vec<[usize; 4]>> {
+        let mut stars: HashMap<usize, Vec<[usize; 4]>> = points.map(|&point| (point, vec![])).collect();
+        self.lattice.for_each_tetrahedron(|corners| {
+            for point in corners {
+                if let Some(star) = stars.get_mut(&point) {
+                    star.push(corners);
                 }
-                groups.retain(|group| {
-                    let is_apart = group.iter().all(|p| !merged.contains(p));
-                    if !is_apart {
-                        merged.extend(group.iter().filter(|&p| !triangle.contains(p)));
-                    }
-                    is_apart
-                });
-                groups.push(merged);
             }
-            groups.len() == 1
+        });
+        stars
+    }
+
+    /// Whether all tetrahedra of a star keep at least the fraction `flatness` of a lattice tetrahedron's volume if its point moves.
+    pub(super) fn stays_upright(&self, point: usize, place: &Vector3<f64>, star: &[[usize; 4]], flatness: f64) -> bool {
+        let flat = flatness / 12.0 * self.lattice.spacing_mm().powi(3);
+        star.iter().all(|corners| {
+            let [a, b, c, d] = corners.map(|p| if p == point { *place } else { self.position_mm[p] });
+            (b - a).cross(&(c - a)).dot(&(d - a)) / 6.0 > flat
+        })
+    }
+
+    /// Whether the surface towards a room may be led through a lattice point without a change of topology: the inner points around it
+    /// hang together, and so do the outer ones; in the base plane also those of the plane alone; and every tetrahedron that reaches
+    /// across to another surface still has an inner point.
+    fn surface_may_pass(&self, point: usize, room: u8, star: &[[usize; 4]]) -> bool {
+        let spans_emptily = |corners: &[usize; 4]| {
+            let is_inside = |&&p: &&usize| p != point && self.side[p] == Side::Inside;
+            let is_elsewhere = |&&p: &&usize| p != point && self.side[p] != Side::Inside && self.room[p] != room;
+            corners.iter().find(is_elsewhere).is_some() && corners.iter().find(is_inside).is_none()
         };
+        if star.iter().any(spans_emptily) {
+            return false;
+        }
         let in_plane: &[bool] = if self.lattice.is_in_plane(point) { &[false, true] } else { &[false] };
-        in_plane.iter().all(|&only| hangs_together(Side::Inside, only) && hangs_together(Side::Outside, only))
+        let holds = |side: Side| in_plane.iter().all(|&only_in_plane| self.hang_together(point, side, only_in_plane, star));
+        holds(Side::Inside) && holds(Side::Outside)
+    }
+
+    /// Whether the points of one side around a point (optionally those in the base plane) form one connected group.
+    fn hang_together(&self, point: usize, side: Side, only_in_plane: bool, star: &[[usize; 4]]) -> bool {
+        let counts = |p: usize| p != point && self.side[p] == side && (!only_in_plane || self.lattice.is_in_plane(p));
+        let mut groups: Vec<Vec<usize>> = vec![];
+        for corners in star {
+            let mut merged: Vec<usize> = corners.iter().copied().filter(|&p| counts(p)).collect();
+            if merged.is_empty() {
+                continue;
+            }
+            groups.retain(|group| {
+                let is_apart = group.iter().all(|p| !merged.contains(p));
+                if !is_apart {
+                    merged.extend(group.iter().filter(|&p| !corners.contains(p)));
+                }
+                is_apart
+            });
+            groups.push(merged);
+        }
+        groups.len() == 1
     }
 
     fn is_live(&self, edge: usize) -> bool {
@@ -179,12 +231,6 @@ impl<'a> Stuffing<'a> {
         let length_mm = (self.position_mm[a] - self.position_mm[b]).norm();
         let alpha = if length_mm > 0.9 * self.lattice.spacing_mm() { ALPHA_LONG } else { ALPHA_SHORT };
         (self.cuts_mm[edge] - self.position_mm[point]).norm() < alpha * length_mm
-    }
-
-    fn nearest_cut(&self, point: usize, edges: impl Iterator<Item = usize>) -> Option<Vector3<f64>> {
-        let too_near = edges.filter(|&edge| self.is_too_near(point, edge));
-        let distance = |edge: &usize| (self.cuts_mm[*edge] - self.position_mm[point]).norm_squared();
-        too_near.min_by(|a, b| distance(a).total_cmp(&distance(b))).map(|edge| self.cuts_mm[edge])
     }
 
     /// Newton's iteration on the level set within the base plane, for a point whose nearest cut point is below the plane.
@@ -227,99 +273,9 @@ impl<'a> Stuffing<'a> {
         }
     }
 
-    fn vertex_mm(&self, vertex: usize) -> Vector3<f64> {
+    /// Position of a lattice point, or of a cut point (numbered from the point count on).
+    pub(super) fn vertex_mm(&self, vertex: usize) -> Vector3<f64> {
         vertex.checked_sub(self.position_mm.len()).map_or_else(|| self.position_mm[vertex], |edge| self.cuts_mm[edge])
-    }
-}
-
-/// The stencils of [Labelle2007] figure 3. A quadrilateral that two tetrahedra share is divided by its own points alone: by the diagonal
-/// through the cut point of the longer lattice edge, of equal edges the shorter diagonal.
-struct Stencils<'a> {
-    stuffing: &'a Stuffing<'a>,
-    cut_of: &'a HashMap<[usize; 2], usize>,
-    tetrahedra: Vec<[usize; 4]>,
-}
-
-impl Stencils<'_> {
-    fn add(&mut self, corners: [usize; 4]) {
-        let side = &self.stuffing.side;
-        let on = |wanted: Side| -> Vec<usize> { corners.into_iter().filter(|&point| side[point] == wanted).collect() };
-        let (inside, surface, outside) = (on(Side::Inside), on(Side::Surface), on(Side::Outside));
-        match (&inside[..], &surface[..], &outside[..]) {
-            ([], _, _) => {}
-            (_, _, []) => self.push(corners),
-            (&[p], _, _) => self.push(corners.map(|c| if self.stuffing.side[c] == Side::Outside { self.cut(p, c) } else { c })),
-            (&[p, q], &[apex], &[n]) => {
-                let (p_cut, q_cut) = (self.cut(p, n), self.cut(q, n));
-                if self.divides_at_first(p, q, n) {
-                    self.push([p, q, q_cut, apex]);
-                    self.push([p, q_cut, p_cut, apex]);
-                } else {
-                    self.push([p, q, p_cut, apex]);
-                    self.push([q, q_cut, p_cut, apex]);
-                }
-            }
-            (&[p, q], [], &[m, n]) => {
-                let first = [p, self.cut(p, m), self.cut(p, n)];
-                let second = [q, self.cut(q, m), self.cut(q, n)];
-                let (front, back) = (self.divides_at_first(p, q, m), !self.divides_at_first(p, q, n));
-                let is_shorter = self.distance(first[1], second[2]) <= self.distance(first[2], second[1]);
-                let middle = if front == back { !front } else { is_shorter };
-                self.push_wedge(first, second, [front, middle, back]);
-            }
-            (&[p, q, r], _, &[n]) => {
-                let cuts = [self.cut(p, n), self.cut(q, n), self.cut(r, n)];
-                let division = [self.divides_at_first(p, q, n), self.divides_at_first(q, r, n), self.divides_at_first(r, p, n)];
-                self.push_wedge([p, q, r], cuts, division);
-            }
-            _ => {}
-        }
-    }
-
-    fn cut(&self, a: usize, b: usize) -> usize {
-        self.stuffing.position_mm.len() + self.cut_of[&[a.min(b), a.max(b)]]
-    }
-
-    fn distance(&self, a: usize, b: usize) -> f64 {
-        (self.stuffing.vertex_mm(a) - self.stuffing.vertex_mm(b)).norm_squared()
-    }
-
-    /// Whether the quadrilateral p, q, cut of q–n, cut of p–n is divided by the diagonal that begins in p.
-    fn divides_at_first(&self, p: usize, q: usize, n: usize) -> bool {
-        // Lattice edges are compared where they were before warping.
-        let lattice_length = |a: usize| (self.stuffing.lattice.position_mm(a) - self.stuffing.lattice.position_mm(n)).norm();
-        let (from_p, from_q) = (lattice_length(p), lattice_length(q));
-        if (from_p - from_q).abs() > 0.01 * from_p {
-            return from_q > from_p;
-        }
-        let (at_p, at_q) = (self.distance(p, self.cut(q, n)), self.distance(q, self.cut(p, n)));
-        if at_p == at_q { p < q } else { at_p < at_q }
-    }
-
-    /// A wedge between triangles a and b; `division[i]` says that side i (between i and i + 1) is divided by a_i b_{i+1}, otherwise by
-    /// a_{i+1} b_i. The three must not all be equal: such a wedge has no tetrahedra.
-    fn push_wedge(&mut self, a: [usize; 3], b: [usize; 3], division: [bool; 3]) {
-        let Some(i) = (0..3).find(|&i| division[i] && !division[(i + 2) % 3]) else {
-            return;
-        };
-        let (j, k) = ((i + 1) % 3, (i + 2) % 3);
-        self.push([a[i], b[0], b[1], b[2]]);
-        if division[j] {
-            self.push([a[i], a[j], a[k], b[k]]);
-            self.push([a[i], a[j], b[k], b[j]]);
-        } else {
-            self.push([a[i], a[j], a[k], b[j]]);
-            self.push([a[i], a[k], b[k], b[j]]);
-        }
-    }
-
-    /// Keeps a tetrahedron, positively oriented.
-    fn push(&mut self, mut corners: [usize; 4]) {
-        let [a, b, c, d] = corners.map(|vertex| self.stuffing.vertex_mm(vertex));
-        if (b - a).cross(&(c - a)).dot(&(d - a)) < 0.0 {
-            corners.swap(2, 3);
-        }
-        self.tetrahedra.push(corners);
     }
 }
 
