@@ -1,9 +1,12 @@
-//! The force that draws the base along a known motion, from block matching or an earlier run, [Billet2009] §5.
+//! The force that draws the base along the motion that block matching has found, [Billet2009] §5.
+
+use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::TrackingError;
+use super::{BlockMatchingSettings, TrackingError};
+use crate::heart::BaseMotion;
 use crate::mechanics::{MotionState, StepLoad, StepSystem};
 use crate::mesh::{SurfaceTag, TaggedSurface};
 
@@ -15,9 +18,9 @@ pub enum BaseMode {
     /// The model's own springs to the reference position.
     Springs,
     /// No springs; blocks matched in the images draw the base.
-    BlockMatching(super::BlockMatchingSettings),
-    /// No springs; the base follows the motion of an earlier run.
-    Recorded(BaseMotion),
+    BlockMatching(BlockMatchingSettings),
+    /// The model's springs, anchored on the motion of an earlier run.
+    Recorded(Arc<BaseMotion>),
 }
 
 /// Which part of the way to the match is pulled.
@@ -33,7 +36,7 @@ pub enum BaseProjection {
 
 /// Displacements of base vertices from their reference positions at some times of a cycle, with confidences; periodic in time.
 #[derive(Debug, Clone, PartialEq)]
-pub struct BaseMotion {
+pub struct BaseMatches {
     vertices: Vec<usize>,
     times_s: Vec<f64>,
     period_s: f64,
@@ -41,7 +44,7 @@ pub struct BaseMotion {
     confidence: Vec<Vec<f64>>,
 }
 
-impl BaseMotion {
+impl BaseMatches {
     pub(super) fn new(
         vertices: Vec<usize>,
         times_s: Vec<f64>,
@@ -50,35 +53,6 @@ impl BaseMotion {
         confidence: Vec<Vec<f64>>,
     ) -> Self {
         Self { vertices, times_s, period_s, displacement_mm, confidence }
-    }
-
-    /// The motion of `vertices` in a run whose frames (times ascending within one period) have the mesh at `frames_mm`, all with
-    /// full confidence: what an image-free run can follow later.
-    ///
-    /// # Errors
-    /// [`TrackingError::BaseMotion`] if the numbers of times and frames differ, or the times do not ascend within the period.
-    pub fn recorded(
-        vertices: Vec<usize>,
-        reference_mm: &[Vector3<f64>],
-        times_s: Vec<f64>,
-        frames_mm: &[&[Vector3<f64>]],
-        period_s: f64,
-    ) -> Result<Self, TrackingError> {
-        let fails = |reason: String| Err(TrackingError::BaseMotion { reason });
-        if times_s.is_empty() || times_s.len() != frames_mm.len() {
-            return fails(format!("{} times for {} frames", times_s.len(), frames_mm.len()));
-        }
-        let span_s = times_s[times_s.len() - 1] - times_s[0];
-        if !times_s.windows(2).all(|pair| pair[0] < pair[1]) || span_s.is_nan() || span_s >= period_s {
-            return fails(format!("its times must ascend within one period of {period_s} s"));
-        }
-        let vertex_count = reference_mm.len();
-        if vertices.iter().any(|&v| v >= vertex_count) || frames_mm.iter().any(|frame| frame.len() != vertex_count) {
-            return fails(format!("vertices and frames must fit a mesh of {vertex_count} vertices"));
-        }
-        let displacement_mm = frames_mm.iter().map(|frame| vertices.iter().map(|&v| frame[v] - reference_mm[v]).collect()).collect();
-        let confidence = vec![vec![1.0; vertices.len()]; times_s.len()];
-        Ok(Self { vertices, times_s, period_s, displacement_mm, confidence })
     }
 
     /// The base vertices.
@@ -91,12 +65,12 @@ impl BaseMotion {
         &self.times_s
     }
 
-    /// Displacements from the reference position, mm, by time and by place in [`BaseMotion::vertices`].
+    /// Displacements from the reference position, mm, by time and by place in [`BaseMatches::vertices`].
     pub fn displacement_mm(&self) -> &[Vec<Vector3<f64>>] {
         &self.displacement_mm
     }
 
-    /// Confidences in 0..=1, by time and by place in [`BaseMotion::vertices`].
+    /// Confidences in 0..=1, by time and by place in [`BaseMatches::vertices`].
     pub fn confidence(&self) -> &[Vec<f64>] {
         &self.confidence
     }
@@ -115,11 +89,11 @@ impl BaseMotion {
     }
 }
 
-/// Springs, implicit in time, from base vertices to the places where their motion says they should be.
+/// Springs, implicit in time, from base vertices to the places where their matches are.
 #[derive(Debug, Clone)]
 pub struct BaseForce<'a> {
     surface: &'a TaggedSurface,
-    motion: &'a BaseMotion,
+    matches: &'a BaseMatches,
     reference_mm: &'a [Vector3<f64>],
     projection: BaseProjection,
     gain_kpa_per_mm: f64,
@@ -129,21 +103,21 @@ impl<'a> BaseForce<'a> {
     /// The load; `reference_mm` holds the reference positions of all mesh vertices.
     ///
     /// # Errors
-    /// [`TrackingError::SettingOutOfRange`] for a gain that is negative or not finite, [`TrackingError::BaseMotion`] if the motion
-    /// names a vertex that the mesh does not have.
+    /// [`TrackingError::SettingOutOfRange`] for a gain that is negative or not finite, [`TrackingError::BaseMatches`] if the matches
+    /// name a vertex that the mesh does not have.
     pub fn new(
         surface: &'a TaggedSurface,
-        motion: &'a BaseMotion,
+        matches: &'a BaseMatches,
         reference_mm: &'a [Vector3<f64>],
         projection: BaseProjection,
         gain_kpa_per_mm: f64,
     ) -> Result<Self, TrackingError> {
         TrackingError::check_setting("image_gain_base_kpa_per_mm", gain_kpa_per_mm, 0.0, f64::MAX)?;
-        if let Some(vertex) = motion.vertices.iter().find(|&&vertex| vertex >= reference_mm.len()) {
+        if let Some(vertex) = matches.vertices.iter().find(|&&vertex| vertex >= reference_mm.len()) {
             let reason = format!("it names vertex {vertex}, but the mesh has {}", reference_mm.len());
-            return Err(TrackingError::BaseMotion { reason });
+            return Err(TrackingError::BaseMatches { reason });
         }
-        Ok(Self { surface, motion, reference_mm, projection, gain_kpa_per_mm })
+        Ok(Self { surface, matches, reference_mm, projection, gain_kpa_per_mm })
     }
 }
 
@@ -151,8 +125,8 @@ impl StepLoad for BaseForce<'_> {
     /// F = 2γ P (Z − Y^{t+h}) with Z the match at t + h, γ the gain × area × confidence, P = N Nᵀ or I.
     fn add_to(&self, state: &MotionState, time_s: f64, step_s: f64, system: &mut StepSystem) {
         let area_mm2 = self.surface.vertex_area_vectors_mm2(SurfaceTag::Base, &state.position_mm);
-        for (place, &vertex) in self.motion.vertices.iter().enumerate() {
-            let (displacement_mm, confidence) = self.motion.at(place, time_s + step_s);
+        for (place, &vertex) in self.matches.vertices.iter().enumerate() {
+            let (displacement_mm, confidence) = self.matches.at(place, time_s + step_s);
             let gain_mn_per_mm = 2.0 * self.gain_kpa_per_mm * confidence * area_mm2[vertex].norm();
             let Some(normal) = area_mm2[vertex].try_normalize(0.0) else { continue };
             let stiffness = gain_mn_per_mm

@@ -349,9 +349,8 @@ mod tests {
         let plane = move |p: Vector3<f64>| plane_normal.dot(&p);
         let ellipsoid = move |p: Vector3<f64>| 15.0 * (1.0 - p.component_div(&axes).norm());
         let normal = Vector3::new(-0.2, 0.1, -1.0).normalize();
-        let cases: [(&dyn Fn(Vector3<f64>) -> f64, Vector3<f64>); 2] =
-            [(&plane, Vector3::new(1.0, 2.0, 3.0)), (&ellipsoid, Vector3::new(4.0, 8.0, 22.0))];
-        for (distance, origin_mm) in cases {
+        let plane_case = (&plane as &dyn Fn(Vector3<f64>) -> f64, Vector3::new(1.0, 2.0, 3.0));
+        for (distance, origin_mm) in [plane_case, (&ellipsoid, Vector3::new(4.0, 8.0, 22.0))] {
             let volume = still(image(Vector3::repeat(35.0), Vector3::repeat(0.7), |p| 100.0 + 400.0 * step(distance(p), 2.0)));
             let instant = ImageInstant::new(&volume, 0.0);
             let at = |origin_mm: Vector3<f64>| origin_mm + normal * only_candidate(&search, &origin_mm, &normal, &instant).distance_mm;

@@ -1,9 +1,10 @@
 //! What can stop the tracker.
 
+use crate::heart::{HeartError, StepError};
 use crate::mesh::SurfaceTag;
 
 /// Why a motion cannot be tracked, with the place, the amount and the remedy.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages name the fields")]
 pub enum TrackingError {
     /// A surface that is to be tracked has no triangle.
@@ -27,9 +28,18 @@ pub enum TrackingError {
     /// No block around the base lies inside the image.
     #[error("none of the {vertex_count} base vertices has its block inside the image; use smaller blocks or another base mode")]
     BaseNotCovered { vertex_count: usize },
-    /// A base motion cannot be used.
-    #[error("the base motion cannot be used: {reason}")]
-    BaseMotion { reason: String },
+    /// Base matches do not fit the mesh.
+    #[error("the base matches cannot be used: {reason}")]
+    BaseMatches { reason: String },
+    /// The heart period of the model is not that of the images.
+    #[error("the heart period is {model_s} s in the model but {cine_s} s in the images; set heart_period_s to the cine sequence's period")]
+    PeriodMismatch { model_s: f64, cine_s: f64 },
+    /// The model cannot be set up with the base mode.
+    #[error(transparent)]
+    Heart(#[from] HeartError),
+    /// A step of the tracked heart failed.
+    #[error("tracking stopped: {0}")]
+    Step(#[from] StepError),
     /// A setting is outside its range.
     #[error("{name} = {value} must lie in {lower} to {upper}")]
     SettingOutOfRange { name: &'static str, value: f64, lower: f64, upper: f64 },

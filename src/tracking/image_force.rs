@@ -1,6 +1,10 @@
 //! All tracked surfaces as one load on the step system: (K̃ + K_img) Y^{t+h} = F + F̃_img, [Billet2009] §4.2.
 
-use super::{BoundarySearch, BoundaryTarget, ForceScheme, ImageInstant, SurfaceTargets, TrackingError};
+use std::sync::{Mutex, PoisonError};
+
+use nalgebra::Vector3;
+
+use super::{BoundarySearch, BoundaryTarget, ForceScheme, ImageInstant, SurfaceTargets, TrackingError, VertexLoad};
 use crate::image::CineSequence;
 use crate::mechanics::{MotionState, StepLoad, StepSystem};
 use crate::mesh::TaggedSurface;
@@ -15,13 +19,14 @@ pub struct SurfaceGain {
 }
 
 /// The image force of a cine sequence on the endocardia and the epicardium.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct ImageForce<'a> {
     cine: &'a CineSequence,
     surface: &'a TaggedSurface,
     surfaces: Vec<SurfaceGain>,
     scheme: ForceScheme,
     held_out: Vec<bool>,
+    applied: Mutex<Vec<(usize, VertexLoad)>>,
 }
 
 impl<'a> ImageForce<'a> {
@@ -40,7 +45,7 @@ impl<'a> ImageForce<'a> {
         for one in &surfaces {
             TrackingError::check_setting("gain_kpa_per_mm", one.gain_kpa_per_mm, 0.0, f64::MAX)?;
         }
-        Ok(Self { cine, surface, surfaces, scheme, held_out })
+        Ok(Self { cine, surface, surfaces, scheme, held_out, applied: Mutex::new(Vec::new()) })
     }
 
     /// The surfaces with their gains.
@@ -49,7 +54,7 @@ impl<'a> ImageForce<'a> {
     }
 
     /// The boundary points of every surface for a mesh at `position_mm`, in the image of `time_s`.
-    pub fn targets(&self, position_mm: &[nalgebra::Vector3<f64>], time_s: f64) -> Vec<SurfaceTargets> {
+    pub fn targets(&self, position_mm: &[Vector3<f64>], time_s: f64) -> Vec<SurfaceTargets> {
         let instant = ImageInstant::new(self.cine, time_s);
         self.surfaces.iter().map(|one| one.search.find(self.surface, position_mm, &instant)).collect()
     }
@@ -63,6 +68,15 @@ impl<'a> ImageForce<'a> {
     pub fn gain_mn_per_mm(&self, gain_kpa_per_mm: f64, target: &BoundaryTarget) -> f64 {
         if self.is_held_out(target.vertex) { 0.0 } else { gain_kpa_per_mm * target.area_mm2 * target.confidence }
     }
+
+    /// Work of the image force in the last step, mN·mm (= µJ) by vertex, added to `sum_uj`: the force F − K Y⁺ that stood at the
+    /// step's end times the way from `before_mm` to `after_mm`.
+    pub fn add_work_uj(&self, before_mm: &[Vector3<f64>], after_mm: &[Vector3<f64>], sum_uj: &mut [f64]) {
+        for (vertex, load) in self.applied.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+            let force_mn = load.force_mn - load.stiffness_mn_per_mm * after_mm[*vertex];
+            sum_uj[*vertex] += force_mn.dot(&(after_mm[*vertex] - before_mm[*vertex]));
+        }
+    }
 }
 
 impl StepLoad for ImageForce<'_> {
@@ -71,6 +85,8 @@ impl StepLoad for ImageForce<'_> {
     fn add_to(&self, state: &MotionState, time_s: f64, step_s: f64, system: &mut StepSystem) {
         let image_time_s = if self.scheme == ForceScheme::Explicit { time_s } else { time_s + step_s };
         let targets = self.targets(&state.position_mm, image_time_s);
+        let mut applied = self.applied.lock().unwrap_or_else(PoisonError::into_inner);
+        applied.clear();
         for (one, found) in self.surfaces.iter().zip(&targets) {
             for target in &found.targets {
                 let gain = self.gain_mn_per_mm(one.gain_kpa_per_mm, target);
@@ -78,6 +94,7 @@ impl StepLoad for ImageForce<'_> {
                     let load = self.scheme.load(target, &state.position_mm[target.vertex], gain);
                     system.force_mn[target.vertex] += load.force_mn;
                     system.stiffness_mn_per_mm[target.vertex] += load.stiffness_mn_per_mm;
+                    applied.push((target.vertex, load));
                 }
             }
         }

@@ -9,7 +9,10 @@
 //! | `image_force` | all surfaces as one load on the step system |
 //! | `block_matching`, `pyramid` | the motion of the base from blocks of voxels |
 //! | `base_force` | the base drawn along a known motion |
+//! | `tracker`, `residuals` | one beat under these loads, and what the images say of it |
+//! | `agreement`, `section` | a tracked cavity against an expert's labels |
 
+mod agreement;
 mod appearance;
 mod base_force;
 mod block_matching;
@@ -20,13 +23,20 @@ mod fixtures;
 mod image_force;
 mod instant;
 mod pyramid;
+mod residuals;
 mod scheme;
+mod section;
+mod tracker;
 
+pub use agreement::{CavityAgreement, SliceAgreement};
 pub use appearance::{AppearanceSettings, SurfaceAppearance};
-pub use base_force::{BaseForce, BaseMode, BaseMotion, BaseProjection};
+pub use base_force::{BaseForce, BaseMatches, BaseMode, BaseProjection};
 pub use block_matching::{BlockMatchingSettings, Similarity, match_base};
 pub use boundary::{BoundarySearch, BoundarySettings, BoundaryTarget, SurfaceTargets};
 pub use error::TrackingError;
 pub use image_force::{ImageForce, SurfaceGain};
 pub use instant::ImageInstant;
+pub use residuals::{SurfaceResidual, TrackedFrame};
 pub use scheme::{ForceScheme, VertexLoad};
+pub use section::Contour;
+pub use tracker::{PhaseWork, TrackedMotion, TrackerSettings, track};
