@@ -1,6 +1,8 @@
 //! The coupled heart: parameters, model, step, beat and observables, [Billet2009] §2.
 
 mod base_motion;
+#[cfg(test)]
+mod beat_tests;
 mod error;
 #[cfg(test)]
 mod idealised_lv;

@@ -73,19 +73,19 @@ macro_rules! parameter_table {
 }
 
 parameter_table! {
-    ConductionVelocity: Electrophysiology "conduction_velocity_mm_per_s" ["mm/s"] = 500.0 in 50.0..3000.0, "Conduction velocity v along the fibre.", "[Sermesant2012]: 0.3-0.7 m/s in human myocardium";
+    ConductionVelocity: Electrophysiology "conduction_velocity_mm_per_s" ["mm/s"] = 600.0 in 50.0..3000.0, "Conduction velocity v along the fibre.", "[Sermesant2012]: 0.3-0.7 m/s in human myocardium; the left ventricle is activated within 65 ms";
     AnisotropyRatio: Electrophysiology "anisotropy_ratio" ["1"] = 0.16 in 0.01..1.0, "Ratio ρ of squared speeds across and along the fibre, D = diag(1, ρ, ρ).", "measured ratio of speeds 2.5-3";
-    EndocardialSpeedFactor: Electrophysiology "endocardial_speed_factor" ["1"] = 2.0 in 1.0..10.0, "Speed of the thin endocardial (Purkinje) layer relative to the bulk.", "Purkinje 2-4 m/s";
+    EndocardialSpeedFactor: Electrophysiology "endocardial_speed_factor" ["1"] = 4.0 in 1.0..10.0, "Speed of the thin endocardial (Purkinje) layer relative to the bulk.", "Purkinje 2-4 m/s";
     OnsetTime: Electrophysiology "onset_time_s" ["s"] = 0.02 in -0.5..1.0, "First depolarisation after the trigger (R wave).", "chosen: trigger on the R wave";
     ActionPotentialDuration: Electrophysiology "action_potential_duration_s" ["s"] = 0.3 in 0.05..0.6, "Action potential duration APD.", "0.25-0.33 s";
     HeartPeriod: Electrophysiology "heart_period_s" ["s"] = 0.8 in 0.25..2.5, "Heart period HP; a cine sequence sets it.", "75 beats a minute";
-    ContractionPeakLv: Mechanics "contraction_peak_lv_kpa" ["kPa"] = 90.0 in 0.0..1000.0, "Peak contraction σ0 of the left ventricle.", "[Billet2009] §6.2";
-    ContractionPeakRv: Mechanics "contraction_peak_rv_kpa" ["kPa"] = 70.0 in 0.0..1000.0, "Peak contraction σ0 of the right ventricle.", "[Billet2009] §6.2";
-    ContractionPeakScar: Mechanics "contraction_peak_scar_kpa" ["kPa"] = 60.0 in 0.0..1000.0, "Peak contraction σ0 of scar.", "[Billet2009] §6.2";
+    ContractionPeakLv: Mechanics "contraction_peak_lv_kpa" ["kPa"] = 300.0 in 0.0..1000.0, "Peak contraction σ0 of the left ventricle.", "chosen with the stiffness: EF 0.53, 120 mmHg; [Billet2009] §6.2 has 90";
+    ContractionPeakRv: Mechanics "contraction_peak_rv_kpa" ["kPa"] = 235.0 in 0.0..1000.0, "Peak contraction σ0 of the right ventricle.", "chosen: 70/90 of the left, as in [Billet2009] §6.2";
+    ContractionPeakScar: Mechanics "contraction_peak_scar_kpa" ["kPa"] = 200.0 in 0.0..1000.0, "Peak contraction σ0 of scar.", "chosen: 60/90 of the left, as in [Billet2009] §6.2";
     ContractionRate: Mechanics "contraction_rate_per_s" ["1/s"] = 10.0 in 0.5..100.0, "Contraction rate kATP.", "5-15 1/s";
-    RelaxationRate: Mechanics "relaxation_rate_per_s" ["1/s"] = 25.0 in 0.5..200.0, "Relaxation rate kRS.", "20-30 1/s";
-    FibreStiffness: Mechanics "fibre_stiffness_kpa" ["kPa"] = 30.0 in 0.1..2000.0, "Young's modulus E_f along the fibre.", "15-75 kPa";
-    TransverseStiffness: Mechanics "transverse_stiffness_kpa" ["kPa"] = 20.0 in 0.1..2000.0, "Young's modulus E_t across the fibre.", "5-60 kPa";
+    RelaxationRate: Mechanics "relaxation_rate_per_s" ["1/s"] = 15.0 in 0.5..200.0, "Relaxation rate kRS.", "chosen; 20-30 1/s where the wall is softer and recoils less";
+    FibreStiffness: Mechanics "fibre_stiffness_kpa" ["kPa"] = 300.0 in 0.1..2000.0, "Young's modulus E_f along the fibre.", "chosen: under linear kinematics a softer wall (15-75 kPa) twists instead of shortening";
+    TransverseStiffness: Mechanics "transverse_stiffness_kpa" ["kPa"] = 150.0 in 0.1..2000.0, "Young's modulus E_t across the fibre.", "chosen: under linear kinematics a softer wall (5-60 kPa) twists instead of shortening";
     PoissonRatio: Mechanics "poisson_ratio" ["1"] = 0.4 in 0.0..0.49, "Poisson's ratio ν, along and across.", "0.4-0.45 with linear tetrahedra";
     Density: Mechanics "density_kg_per_mm3" ["kg/mm³"] = 1.06e-6 in 1e-7..1e-5, "Mass density of the myocardium.", "1060 kg/m³";
     DampingMass: Mechanics "damping_mass_per_s" ["1/s"] = 10.0 in 0.0..1000.0, "Rayleigh damping α on the mass.", "chosen";
@@ -94,7 +94,7 @@ parameter_table! {
     BaseStiffnessIsotropic: Mechanics "base_stiffness_isotropic_kpa_per_mm" ["kPa/mm"] = 2.5 in 0.0..1000.0, "Base springs in all directions; stiffer than published because linear kinematics need it.", "[Hirschvogel2017] 0.25";
     PericardiumStiffness: Mechanics "pericardium_stiffness_kpa_per_mm" ["kPa/mm"] = 0.0 in 0.0..1000.0, "Pericardial springs along the epicardial normal.", "off; [Hirschvogel2017] 0.075";
     PericardiumDamping: Mechanics "pericardium_damping_kpa_s_per_mm" ["kPa·s/mm"] = 0.005 in 0.0..100.0, "Pericardial dashpots along the epicardial normal.", "[Hirschvogel2017]";
-    ResistanceSystemic: Circulation "resistance_systemic_kpa_s_per_ml" ["kPa·s/mL"] = 0.13 in 0.001..2.0, "Peripheral resistance R of the systemic circulation.", "0.12-0.15";
+    ResistanceSystemic: Circulation "resistance_systemic_kpa_s_per_ml" ["kPa·s/mL"] = 0.12 in 0.001..2.0, "Peripheral resistance R of the systemic circulation.", "0.12-0.15";
     ImpedanceSystemic: Circulation "impedance_systemic_kpa_s_per_ml" ["kPa·s/mL"] = 0.008 in 0.0..0.2, "Characteristic impedance Z of the aorta.", "0.006-0.013";
     ComplianceSystemic: Circulation "compliance_systemic_ml_per_kpa" ["mL/kPa"] = 10.0 in 0.1..200.0, "Compliance C of the systemic arteries.", "8.6-12";
     VenousPressureSystemic: Circulation "venous_pressure_systemic_kpa" ["kPa"] = 0.5 in 0.0..5.0, "Pressure behind the systemic resistance.", "RA 0-5 mmHg";
