@@ -5,7 +5,7 @@ use std::path::Path;
 use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
 
-use super::chart::{Axes, Curve, Look, draw_curves, framed, headed, legend_of};
+use super::chart::{Axes, Chart, Curve, Look, Margins, Tick, decorate, draw_curves, headed, legend_of, plot, ticks};
 use super::style::*;
 use crate::report::ReportError;
 use crate::units::{KPA_PER_MMHG, MS_PER_S};
@@ -66,7 +66,8 @@ pub fn volume_curves(file: &Path, figure: &VolumeCurves) -> Result<(), ReportErr
             x: padded(abscissae(&curves), 0.02, 0.02),
             y: padded(ordinates(&curves), 0.1, 0.1),
         };
-        let mut chart = framed(&below, &axes, 40)?;
+        let mut chart = plot(&below, &axes, &Margins::default())?;
+        decorate(area, &chart, &axes, &ticks(axes.x, 8), &ticks(axes.y, 7))?;
         draw_curves(&mut chart, &curves)
     })
 }
@@ -79,43 +80,34 @@ pub fn pressures(file: &Path, figure: &PressureCurves) -> Result<(), ReportError
     let curves = in_ms(&figure.curves, 1.0 / KPA_PER_MMHG);
     picture(file, "the pressures", (1500, 950), |area| {
         let below = headed(area, &figure.title, &legend_of(&curves))?;
-        let (low, high) = padded(ordinates(&curves), 0.06, 0.16);
-        let axes = Axes {
-            x_title: "time after the trigger (ms)",
-            y_title: "pressure (mmHg)",
-            x: padded(abscissae(&curves), 0.0, 0.0),
-            y: (low, high),
-        };
-        let mut chart = framed(&below, &axes, 40)?;
-        let tints = [RGBColor(238, 238, 238), RGBColor(253, 238, 214), RGBColor(221, 238, 250), RGBColor(243, 228, 238)];
-        let style = text(TEXT - 4, &GREY_INK);
+        let (low, high) = padded(ordinates(&curves).chain([0.0]), 0.03, 0.14);
+        let x = padded(abscissae(&curves), 0.0, 0.0);
+        let axes = Axes { x_title: "time after the trigger (ms)", y_title: "pressure (mmHg)", x, y: (low, high) };
+        let mut chart = plot(&below, &axes, &Margins::default())?;
+        let tints = [RGBColor(238, 238, 238), RGBColor(253, 238, 214), RGBColor(226, 240, 250), RGBColor(245, 233, 241)];
+        let within = |time_s: f64| (time_s * MS_PER_S).clamp(x.0, x.1);
         for (number, band) in figure.phases.iter().enumerate() {
-            let (from, to) = ((band.from_s * MS_PER_S).max(axes.x.0), (band.to_s * MS_PER_S).min(axes.x.1));
-            if from < to {
-                chart.draw_series([Rectangle::new([(from, low), (to, high)], tints[number % tints.len()].filled())])?;
-                label_band(&chart, band, (from, to), high, &style)?;
-            }
+            let corners = [(within(band.from_s), low), (within(band.to_s), high)];
+            chart.draw_series([Rectangle::new(corners, tints[number % tints.len()].filled())])?;
+        }
+        decorate(area, &chart, &axes, &ticks(axes.x, 8), &ticks(axes.y, 7))?;
+        for band in &figure.phases {
+            name_band(area, &chart, &band.name, (within(band.from_s), within(band.to_s)), high)?;
         }
         draw_curves(&mut chart, &curves)
     })
 }
 
-/// Writes the name of a band at its top, upright where it fits and turned where it does not.
-fn label_band(chart: &super::chart::Chart, band: &TimeBand, (from, to): (f64, f64), top: f64, style: &TextStyle<'static>) -> Drawn {
-    let plot = chart.plotting_area().strip_coord_spec();
-    let (columns, rows) = chart.plotting_area().get_pixel_range();
-    let place = |x: f64| chart.backend_coord(&(x, top)).0 - columns.start;
-    let (text_width, _) = plot.estimate_text_size(&band.name, style)?;
-    let (centre, width) = ((place(from) + place(to)) / 2, place(to) - place(from));
-    let _ = rows;
-    if (text_width as i32) < width - ipx(8) {
-        plot.draw_text(&band.name, &anchored(style.clone(), HPos::Center), (centre, ipx(22)))?;
-    } else {
-        let turned = style.clone().transform(FontTransform::Rotate90);
-        let turned = turned.pos(plotters::style::text_anchor::Pos::new(HPos::Left, plotters::style::text_anchor::VPos::Center));
-        plot.draw_text(&band.name, &turned, (centre, ipx(10)))?;
+/// Writes the name of a band at its top, upward where it is narrow.
+fn name_band(area: &Area, chart: &Chart, name: &str, (from, to): (f64, f64), top: f64) -> Drawn {
+    let style = text(TEXT - 3, &GREY_INK);
+    let ((left, y), (right, _)) = (chart.backend_coord(&(from, top)), chart.backend_coord(&(to, top)));
+    let (width, _) = area.estimate_text_size(name, &style)?;
+    match right - left {
+        0 => Ok(()),
+        room if room > width as i32 + ipx(6) => write(area, name, &style, HPos::Center, ((left + right) / 2, y + ipx(22))),
+        _ => write_upward(area, name, &style, HPos::Right, ((left + right) / 2, y + ipx(10))),
     }
-    Ok(())
 }
 
 /// Draws the cost over the iterations, on a logarithmic axis.
@@ -128,56 +120,22 @@ pub fn cost_over_iterations(file: &Path, figure: &CostHistory) -> Result<(), Rep
     picture(file, "the cost", (1200, 800), |area| {
         let below = headed(area, &figure.title, &[])?;
         let (low, high) = padded(points.iter().map(|&(_, y)| y), 0.0, 0.0);
+        let (low, high) = (low.floor(), high.ceil().max(low.floor() + 1.0));
         let last = (figure.cost.len().max(2) - 1) as f64;
-        let axes = Axes {
-            x_title: "iteration",
-            y_title: "cost",
-            x: (-0.02 * last, last * 1.02),
-            y: (low.floor(), if high.ceil() > low.floor() { high.ceil() } else { low.floor() + 1.0 }),
-        };
-        let mut chart = logarithmic(&below, &axes)?;
-        let curve = Curve { name: String::new(), look: Look::Tracked, points };
-        draw_curves(&mut chart, &[curve])
+        let axes = Axes { x_title: "iteration", y_title: "cost", x: (-0.03 * last, last * 1.03), y: (low, high) };
+        let mut chart = plot(&below, &axes, &Margins::default())?;
+        let whole = ticks(axes.x, 10).into_iter().filter(|tick| tick.at.fract() == 0.0).collect::<Vec<_>>();
+        decorate(area, &chart, &axes, &whole, &decades(low as i32, high as i32))?;
+        draw_curves(&mut chart, &[Curve { name: String::new(), look: Look::Tracked, points }])
     })
 }
 
-/// A frame whose ordinate is the decimal logarithm of what is written at its ticks.
-fn logarithmic<'a, 'b>(
-    area: &'a DrawingArea<BitMapBackend<'b>, plotters::coord::Shift>,
-    axes: &Axes,
-) -> Result<super::chart::Chart<'a, 'b>, Box<dyn std::error::Error + Send + Sync>> {
-    let decades = (axes.y.1 - axes.y.0).round() as usize;
-    let mut chart = ChartBuilder::on(area)
-        .margin_left(px(14))
-        .margin_right(px(40))
-        .margin_bottom(px(12))
-        .margin_top(px(10))
-        .x_label_area_size(px(74))
-        .y_label_area_size(px(100))
-        .build_cartesian_2d(axes.x.0..axes.x.1, axes.y.0..axes.y.1)?;
-    chart
-        .configure_mesh()
-        .disable_y_mesh()
-        .max_light_lines(0)
-        .x_labels(10)
-        .y_labels(decades + 1)
-        .bold_line_style(RULE.stroke_width(px(1)))
-        .axis_style(GREY_INK.stroke_width(px(2)))
-        .label_style(text(TEXT, &BLACK_INK))
-        .axis_desc_style(text(TEXT + 2, &BLACK_INK))
-        .x_desc(axes.x_title)
-        .y_desc(axes.y_title)
-        .x_label_formatter(&|x| if x.fract().abs() < 1e-9 { format!("{x:.0}") } else { String::new() })
-        .y_label_formatter(&|y| if y.fract().abs() < 1e-9 { power_of_ten(y.round() as i32) } else { String::new() })
-        .draw()?;
-    for decade in (axes.y.0.round() as i32)..(axes.y.1.round() as i32) {
-        for digit in 1..10 {
-            let y = f64::from(decade) + f64::from(digit).log10();
-            let rule = if digit == 1 { RGBColor(200, 200, 200) } else { RGBColor(236, 236, 236) };
-            chart.draw_series([PathElement::new(vec![(axes.x.0, y), (axes.x.1, y)], rule.stroke_width(px(1)))])?;
-        }
-    }
-    Ok(chart)
+/// Ticks of a logarithmic axis, whose coordinate is the decimal logarithm.
+fn decades(low: i32, high: i32) -> Vec<Tick> {
+    let named = |decade: i32| Tick { at: f64::from(decade), label: power_of_ten(decade), is_faint: false };
+    let between = |decade: i32, digit: i32| Tick { at: f64::from(decade) + f64::from(digit).log10(), label: String::new(), is_faint: true };
+    let inner = (low..high).flat_map(|decade| (2..10).map(move |digit| between(decade, digit)));
+    inner.chain((low..=high).map(named)).collect()
 }
 
 /// 10ⁿ with a raised exponent; small powers in full.

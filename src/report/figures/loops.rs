@@ -5,7 +5,7 @@ use std::path::Path;
 use plotters::prelude::*;
 use plotters::style::text_anchor::HPos;
 
-use super::chart::{Axes, Curve, draw_curves, framed, headed, legend_of, tick};
+use super::chart::{Axes, Chart, Curve, Margins, decorate, draw_curves, headed, legend_of, plot, ticks};
 use super::style::*;
 use crate::report::ReportError;
 use crate::units::KPA_PER_MMHG;
@@ -48,61 +48,31 @@ pub fn pressure_volume_loop(file: &Path, figure: &PressureVolumeLoop) -> Result<
             x: padded(points().map(|p| p.0), 0.12, 0.12),
             y: padded(points().map(|p| p.1).chain([0.0]), 0.03, 0.1),
         };
-        let mut chart = framed(&below, &axes, 120)?;
-        draw_mmhg_axis(&chart, &axes)?;
+        let mut chart = plot(&below, &axes, &Margins { right: 118, ..Margins::default() })?;
+        decorate(area, &chart, &axes, &ticks(axes.x, 6), &ticks(axes.y, 7))?;
+        draw_mmhg_axis(area, &chart, &axes)?;
         draw_curves(&mut chart, &figure.loops)?;
-        let style = anchored(text(TEXT - 2, &BLACK_INK), HPos::Left);
+        let middle_ml = (axes.x.0 + axes.x.1) / 2.0;
         for point in &figure.points {
-            let place = (point.volume_ml, point.pressure_kpa);
-            chart.draw_series([Circle::new(place, px(7), BLACK_INK.filled())])?;
-            let label = EmptyElement::at(place) + Text::new(point.name.clone(), (ipx(14), -ipx(18)), style.clone());
-            chart.draw_series([label])?;
+            // Names stand inside the loop, where there is room.
+            let (side, align) = if point.volume_ml > middle_ml { (-1, HPos::Right) } else { (1, HPos::Left) };
+            let (x, y) = chart.backend_coord(&(point.volume_ml, point.pressure_kpa));
+            area.draw(&Circle::new((x, y), px(8), BLACK_INK.filled()))?;
+            write(area, &point.name, &text(TEXT - 2, &BLACK_INK), align, (x + side * ipx(22), y))?;
         }
         Ok(())
     })
 }
 
 /// Ticks in mmHg on the right of the frame.
-fn draw_mmhg_axis(chart: &super::chart::Chart, axes: &Axes) -> Drawn {
-    let plot = chart.plotting_area();
-    let (columns, rows) = plot.get_pixel_range();
-    let (low, high) = (axes.y.0 / KPA_PER_MMHG, axes.y.1 / KPA_PER_MMHG);
-    let step = nice_step(high - low, 6);
-    let whole = plot.strip_coord_spec();
-    let right = columns.end - columns.start;
-    // The plotting area ends at the frame, so text right of it is drawn with places beyond its width.
-    let (ink, style) = (GREY_INK.stroke_width(px(2)), anchored(text(TEXT, &BLACK_INK), HPos::Left));
-    let mut number = (low / step).ceil();
-    while number * step <= high {
-        let value = number * step;
-        let y = chart.backend_coord(&(axes.x.0, value * KPA_PER_MMHG)).1 - rows.start;
-        whole.draw(&PathElement::new(vec![(right, y), (right + ipx(8), y)], ink))?;
-        whole.draw_text(&tick(value), &style, (right + ipx(14), y))?;
-        number += 1.0;
+fn draw_mmhg_axis(area: &Area, chart: &Chart, axes: &Axes) -> Drawn {
+    let (columns, rows) = chart.plotting_area().get_pixel_range();
+    let ink = GREY_INK.stroke_width(px(2));
+    for tick in ticks((axes.y.0 / KPA_PER_MMHG, axes.y.1 / KPA_PER_MMHG), 7) {
+        let y = chart.backend_coord(&(axes.x.0, tick.at * KPA_PER_MMHG)).1;
+        area.draw(&PathElement::new(vec![(columns.end, y), (columns.end + ipx(8), y)], ink))?;
+        write(area, &tick.label, &text(TEXT, &BLACK_INK), HPos::Left, (columns.end + ipx(14), y))?;
     }
-    whole.draw(&PathElement::new(vec![(right, 0), (right, rows.end - rows.start)], ink))?;
-    let turned = text(TEXT + 2, &BLACK_INK).transform(FontTransform::Rotate90);
-    let turned = turned.pos(plotters::style::text_anchor::Pos::new(HPos::Center, plotters::style::text_anchor::VPos::Center));
-    whole.draw_text("pressure (mmHg)", &turned, (right + ipx(92), (rows.end - rows.start) / 2))?;
-    Ok(())
-}
-
-/// 1, 2 or 5 times a power of ten that cuts `span` into about `parts`.
-fn nice_step(span: f64, parts: u32) -> f64 {
-    let raw = (span / f64::from(parts)).max(f64::MIN_POSITIVE);
-    let power = 10f64.powf(raw.log10().floor());
-    let digit = [1.0, 2.0, 5.0, 10.0].into_iter().find(|digit| digit * power >= raw).unwrap_or(10.0);
-    digit * power
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn steps_are_ones_twos_and_fives() {
-        assert_eq!(nice_step(120.0, 6), 20.0);
-        assert_eq!(nice_step(121.0, 6), 50.0);
-        assert!((nice_step(0.5, 6) - 0.1).abs() < 1e-12);
-    }
+    area.draw(&PathElement::new(vec![(columns.end, rows.start), (columns.end, rows.end)], ink))?;
+    write_upward(area, "pressure (mmHg)", &text(TEXT + 2, &BLACK_INK), HPos::Center, (columns.end + ipx(88), (rows.start + rows.end) / 2))
 }

@@ -77,11 +77,9 @@ pub fn slice_montage(file: &Path, figure: &Montage) -> Result<(), ReportError> {
     picture_on(file, NAME, (width, height), pixels, |area| {
         draw_head(area, figure, &layout)?;
         for (number, panel) in figure.panels.iter().enumerate() {
-            let (x, y) = layout.corner(number as u32, columns);
-            let (w, h) = layout.drawn();
-            let window = area.clone().shrink((x as u32, y as u32), (w, h));
+            let (corner, size) = (layout.corner(number as u32, columns), layout.drawn());
             for contour in &panel.contours {
-                draw_contour(&window, contour, &Frame::of(panel, (w, h)))?;
+                draw_contour(area, contour, &Frame::of(panel, size), corner, size)?;
             }
         }
         Ok(())
@@ -141,10 +139,8 @@ impl Frame {
         Self { corner_mm, px_per_mm, inset }
     }
 
-    fn to_px(&self, point_mm: [f64; 2]) -> (i32, i32) {
-        let place =
-            |axis: usize| ((point_mm[axis] - self.corner_mm[axis]) * self.px_per_mm + self.inset[axis]).round().clamp(-1e6, 1e6) as i32;
-        (place(0), place(1))
+    fn to_px(&self, point_mm: [f64; 2]) -> [f64; 2] {
+        std::array::from_fn(|axis| (point_mm[axis] - self.corner_mm[axis]) * self.px_per_mm + self.inset[axis])
     }
 
     fn to_mm(&self, x: f64, y: f64) -> [f64; 2] {
@@ -153,37 +149,78 @@ impl Frame {
 }
 
 fn draw_head(area: &Area, figure: &Montage, layout: &Layout) -> Drawn {
-    area.draw_text(&figure.title, &anchored(bold(TITLE, &BLACK_INK), HPos::Left), (ipx(LEFT), ipx(34)))?;
-    let style = anchored(text(TEXT, &BLACK_INK), HPos::Left);
+    write(area, &figure.title, &bold(TITLE, &BLACK_INK), HPos::Left, (ipx(LEFT), ipx(34)))?;
+    let style = text(TEXT, &BLACK_INK);
     let mut x = ipx(LEFT);
     for (number, name) in figure.surfaces.iter().enumerate() {
         let ink = PALETTE[number % PALETTE.len()].stroke_width(px(6));
         area.draw(&PathElement::new(vec![(x, ipx(80)), (x + ipx(44), ipx(80))], ink))?;
-        area.draw_text(name, &style, (x + ipx(54), ipx(80)))?;
+        write(area, name, &style, HPos::Left, (x + ipx(54), ipx(80)))?;
         x += ipx(54 + 40) + area.estimate_text_size(name, &style)?.0 as i32;
     }
     for (number, title) in figure.column_titles.iter().enumerate() {
         let (left, top) = layout.corner(number as u32, u32::MAX);
         let place = (left + ipx(layout.panel.0 / 2), top - ipx(20));
-        area.draw_text(title, &anchored(text(TEXT, &BLACK_INK), HPos::Center), place)?;
+        write(area, title, &style, HPos::Center, place)?;
     }
     let columns = figure.column_titles.len() as u32;
     for (number, title) in figure.row_titles.iter().enumerate() {
         let (_, top) = layout.corner(number as u32 * columns, columns);
-        let turned = anchored(text(TEXT, &BLACK_INK).transform(FontTransform::Rotate270), HPos::Center);
-        area.draw_text(title, &turned, (ipx(LEFT / 2), top + ipx(layout.panel.1 / 2)))?;
+        write_upward(area, title, &style, HPos::Center, (ipx(LEFT / 2), top + ipx(layout.panel.1 / 2)))?;
     }
     Ok(())
 }
 
-fn draw_contour(window: &Area, contour: &Contour, frame: &Frame) -> Drawn {
-    let colour = PALETTE[contour.surface % PALETTE.len()];
-    let points: Vec<(i32, i32)> =
-        contour.points_mm.iter().filter(|p| p[0].is_finite() && p[1].is_finite()).map(|&p| frame.to_px(p)).collect();
-    if points.len() > 1 {
-        window.draw(&PathElement::new(points, colour.stroke_width(px(2) + 1)))?;
+/// Draws a contour, cut where it leaves its panel.
+fn draw_contour(area: &Area, contour: &Contour, frame: &Frame, corner: (i32, i32), size: (u32, u32)) -> Drawn {
+    let ink = PALETTE[contour.surface % PALETTE.len()].stroke_width(px(2) + 1);
+    let limits = [f64::from(size.0), f64::from(size.1)];
+    let points: Vec<[f64; 2]> = contour.points_mm.iter().map(|&point| frame.to_px(point)).collect();
+    for piece in inside_pieces(&points, limits) {
+        let place = |p: &[f64; 2]| (corner.0 + p[0].round() as i32, corner.1 + p[1].round() as i32);
+        area.draw(&PathElement::new(piece.iter().map(place).collect::<Vec<_>>(), ink))?;
     }
     Ok(())
+}
+
+/// The pieces of a line within the rectangle from (0, 0) to `limits`; a point that is not finite ends a piece.
+fn inside_pieces(points: &[[f64; 2]], limits: [f64; 2]) -> Vec<Vec<[f64; 2]>> {
+    let mut pieces: Vec<Vec<[f64; 2]>> = Vec::new();
+    let mut is_joined = false;
+    for pair in points.windows(2) {
+        let Some((from, to)) = clipped(pair[0], pair[1], limits) else {
+            is_joined = false;
+            continue;
+        };
+        match pieces.last_mut() {
+            Some(piece) if is_joined && from == pair[0] => piece.push(to),
+            _ => pieces.push(vec![from, to]),
+        }
+        is_joined = to == pair[1];
+    }
+    pieces
+}
+
+/// The part of a segment within the rectangle from (0, 0) to `limits` (Liang and Barsky).
+fn clipped(a: [f64; 2], b: [f64; 2], limits: [f64; 2]) -> Option<([f64; 2], [f64; 2])> {
+    if !a.iter().chain(&b).all(|x| x.is_finite()) {
+        return None;
+    }
+    let (mut enter, mut leave) = (0.0f64, 1.0f64);
+    for axis in 0..2 {
+        let way = b[axis] - a[axis];
+        for (run, room) in [(-way, a[axis]), (way, limits[axis] - a[axis])] {
+            if run == 0.0 && room < 0.0 {
+                return None;
+            } else if run < 0.0 {
+                enter = enter.max(room / run);
+            } else if run > 0.0 {
+                leave = leave.min(room / run);
+            }
+        }
+    }
+    let at = |t: f64| [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])];
+    (enter < leave).then(|| (if enter > 0.0 { at(enter) } else { a }, if leave < 1.0 { at(leave) } else { b }))
 }
 
 /// Paints the smoothly interpolated image of a panel straight into the picture.
@@ -247,10 +284,17 @@ mod tests {
     #[test]
     fn mm_and_pixels_are_inverse_and_proportions_are_kept() {
         let frame = Frame::of(&ramp(), (200, 200));
-        assert_eq!(frame.to_px([9.0, -3.5]), (0, 60));
-        assert_eq!(frame.to_px([19.0, 0.5]), (200, 140));
-        let mm = frame.to_mm(50.0, 100.0);
-        assert_eq!(frame.to_px(mm), (50, 100));
+        assert_eq!(frame.to_px([9.0, -3.5]), [0.0, 60.0]);
+        assert_eq!(frame.to_px([19.0, 0.5]), [200.0, 140.0]);
+        assert_eq!(frame.to_px(frame.to_mm(50.0, 100.0)), [50.0, 100.0]);
+    }
+
+    #[test]
+    fn a_line_that_leaves_its_panel_and_comes_back_is_cut_into_pieces() {
+        let line = [[1.0, 1.0], [1.0, 3.0], [3.0, 3.0], [3.0, 1.0], [f64::NAN, 0.0], [0.5, 0.5], [1.5, 0.5]];
+        let pieces = inside_pieces(&line, [4.0, 2.0]);
+        assert_eq!(pieces, [[[1.0, 1.0], [1.0, 2.0]], [[3.0, 2.0], [3.0, 1.0]], [[0.5, 0.5], [1.5, 0.5]]]);
+        assert_eq!(inside_pieces(&line[..2], [4.0, 4.0]), [[[1.0, 1.0], [1.0, 3.0]]]);
     }
 
     #[test]

@@ -29,7 +29,7 @@ pub struct ParameterInterval {
     pub truth: Option<f64>,
 }
 
-const WIDTH: u32 = 1500;
+const WIDTH: u32 = 1340;
 const ROW: u32 = 112;
 const SCALE_LEFT: u32 = 470;
 const SCALE_RIGHT: u32 = 1080;
@@ -41,7 +41,7 @@ const SCALE_RIGHT: u32 = 1080;
 pub fn parameter_intervals(file: &Path, title: &str, rows: &[ParameterInterval]) -> Result<(), ReportError> {
     let height = 130 + ROW * rows.len().max(1) as u32;
     picture(file, "the parameters", (WIDTH, height), |area| {
-        area.draw_text(title, &anchored(bold(TITLE, &BLACK_INK), HPos::Left), (ipx(28), ipx(36)))?;
+        write(area, title, &bold(TITLE, &BLACK_INK), HPos::Left, (ipx(28), ipx(36)))?;
         draw_key(area, rows.iter().any(|row| row.truth.is_some()), rows.iter().any(|row| row.interval.is_some()))?;
         for (number, row) in rows.iter().enumerate() {
             draw_row(area, row, ipx(130 + ROW * number as u32 + ROW / 2 - 12))?;
@@ -52,7 +52,7 @@ pub fn parameter_intervals(file: &Path, title: &str, rows: &[ParameterInterval])
 
 /// The meaning of the marks, in one line.
 fn draw_key(area: &Area, has_truth: bool, has_interval: bool) -> Drawn {
-    let style = anchored(text(TEXT - 2, &BLACK_INK), HPos::Left);
+    let style = text(TEXT - 2, &BLACK_INK);
     let y = ipx(86);
     let mut x = ipx(40);
     let entries = [("found", true), ("95 % interval", has_interval), ("start value", true), ("truth", has_truth)];
@@ -64,7 +64,7 @@ fn draw_key(area: &Area, has_truth: bool, has_interval: bool) -> Drawn {
             _ => draw_interval(area, x - ipx(22), x + ipx(22), y)?,
         }
         let indent = if name == "95 % interval" { 34 } else { 20 };
-        area.draw_text(name, &style, (x + ipx(indent), y))?;
+        write(area, name, &style, HPos::Left, (x + ipx(indent), y))?;
         let (width, _) = area.estimate_text_size(name, &style)?;
         x += ipx(indent + 60) + width as i32;
     }
@@ -77,13 +77,12 @@ fn draw_row(area: &Area, row: &ParameterInterval, y: i32) -> Drawn {
         let part = ((value - row.lower) / span).clamp(0.0, 1.0);
         ipx(SCALE_LEFT) + (part * f64::from(px(SCALE_RIGHT - SCALE_LEFT))).round() as i32
     };
-    let name = anchored(text(TEXT, &BLACK_INK), HPos::Right);
-    area.draw_text(&row.name, &name, (ipx(SCALE_LEFT - 40), y))?;
+    write(area, &row.name, &text(TEXT, &BLACK_INK), HPos::Right, (ipx(SCALE_LEFT - 40), y))?;
     area.draw(&PathElement::new(vec![(place(row.lower), y), (place(row.upper), y)], RULE.stroke_width(px(3))))?;
-    for (bound, align) in [(row.lower, HPos::Center), (row.upper, HPos::Center)] {
+    for bound in [row.lower, row.upper] {
         let x = place(bound);
         area.draw(&PathElement::new(vec![(x, y - ipx(10)), (x, y + ipx(10))], GREY_INK.stroke_width(px(2))))?;
-        area.draw_text(&short(bound), &anchored(text(TEXT - 5, &GREY_INK), align), (x, y + ipx(34)))?;
+        write(area, &short(bound), &text(TEXT - 5, &GREY_INK), HPos::Center, (x, y + ipx(30)))?;
     }
     if let Some((low, high)) = row.interval.filter(|(low, high)| low.is_finite() && high.is_finite()) {
         draw_interval(area, place(low), place(high), y)?;
@@ -95,16 +94,15 @@ fn draw_row(area: &Area, row: &ParameterInterval, y: i32) -> Drawn {
     }
     let x = ipx(SCALE_RIGHT + 40);
     let value = format!("{} {}", short(row.value), if row.unit == "1" { "" } else { &row.unit });
-    let left = anchored(text(TEXT, &BLACK_INK), HPos::Left);
+    let style = text(TEXT, &BLACK_INK);
     match row.interval {
         Some((low, high)) => {
-            area.draw_text(value.trim_end(), &left, (x, y - ipx(15)))?;
+            write(area, value.trim_end(), &style, HPos::Left, (x, y - ipx(15)))?;
             let interval = format!("{} to {}", short(low), short(high));
-            area.draw_text(&interval, &anchored(text(TEXT - 4, &GREY_INK), HPos::Left), (x, y + ipx(17)))?;
+            write(area, &interval, &text(TEXT - 4, &GREY_INK), HPos::Left, (x, y + ipx(17)))
         }
-        None => area.draw_text(value.trim_end(), &left, (x, y))?,
+        None => write(area, value.trim_end(), &style, HPos::Left, (x, y)),
     }
-    Ok(())
 }
 
 fn draw_found(area: &Area, x: i32, y: i32) -> Drawn {

@@ -14,7 +14,10 @@ use crate::report::{ReportError, write_atomically};
 pub(super) type Area<'a> = DrawingArea<BitMapBackend<'a>, Shift>;
 
 /// What drawing may fail with.
-pub(super) type Drawn = Result<(), Box<dyn std::error::Error + Send + Sync>>;
+pub(super) type DrawError = Box<dyn std::error::Error + Send + Sync>;
+
+/// Whether something was drawn.
+pub(super) type Drawn = Result<(), DrawError>;
 
 /// Pixels drawn for one pixel shown, each way.
 pub(super) const OVERSAMPLING: u32 = 2;
@@ -53,9 +56,17 @@ pub(super) fn bold(size: u32, colour: &RGBColor) -> TextStyle<'static> {
     FontDesc::new(FontFamily::SansSerif, f64::from(px(size)), FontStyle::Bold).color(colour)
 }
 
-/// A style whose position is the text's left, centre or right end, at the middle of its height.
-pub(super) fn anchored(style: TextStyle<'static>, horizontal: HPos) -> TextStyle<'static> {
-    style.pos(Pos::new(horizontal, VPos::Center))
+/// Writes a line of text whose left end, centre or right end is at a place, at the middle of its height.
+pub(super) fn write(area: &Area, words: &str, style: &TextStyle, horizontal: HPos, (x, y): (i32, i32)) -> Drawn {
+    // The font's box has more room above its letters than below.
+    let lower = (style.font.get_size() * 0.13).round() as i32;
+    Ok(area.draw_text(words, &style.pos(Pos::new(horizontal, VPos::Center)), (x, y + lower))?)
+}
+
+/// The same, read from below to above.
+pub(super) fn write_upward(area: &Area, words: &str, style: &TextStyle, horizontal: HPos, place: (i32, i32)) -> Drawn {
+    let turned = style.transform(FontTransform::Rotate270).pos(Pos::new(horizontal, VPos::Center));
+    Ok(area.draw_text(words, &turned, place)?)
 }
 
 /// Draws a picture of `width` × `height` pixels and writes it as PNG.
