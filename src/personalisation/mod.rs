@@ -4,26 +4,34 @@
 
 mod constraints;
 mod error;
+mod gains;
 mod gauss_newton;
 mod parameters;
 mod problem;
+mod profile;
 mod residuals;
+mod start_values;
 mod tangents;
+mod uncertainty;
 
 use nalgebra::DVector;
 
 pub use constraints::{InequalityConstraint, LinearConstraint, RepolarisedBeforeNextBeat};
 pub use error::PersonalisationError;
+pub use gains::{GainChoice, GainEvaluation, GainSearch};
 pub use gauss_newton::{
     Calibration, CalibrationOutcome, CalibrationState, ConvergenceTest, GaussNewtonQp, GaussNewtonSettings, IterationRecord, TrustShape,
     calibrate,
 };
 pub use parameters::{FreeParameter, ParameterSpace, Transform};
 pub use problem::{CalibrationProblem, Evaluation, Linearisation};
+pub use profile::{ProfilePoint, RISE_95, crossing_95, profile};
 pub use residuals::{
     BoundaryResidual, CalibrationFrame, CalibrationTrajectory, Loss, PriorResidual, StackedResidual, SurfaceTarget, VolumeCurveResidual,
 };
+pub use start_values::{ElectricalTiming, PilotFit, VolumeTiming, conduction_velocity_mm_per_s, contraction_peak_for_ejection_fraction};
 pub use tangents::{DifferenceScheme, FiniteDifferenceModel, LinearTrajectory};
+pub use uncertainty::{BoundState, NoiseScale, ParameterEstimate, Uncertainty, estimates};
 
 /// A trajectory and its derivative in each parameter, or why there is none.
 pub type WithTangents<T, E> = Result<(T, Vec<T>), E>;

@@ -2,6 +2,7 @@
 //!
 //! $$ \min_\theta \sum_i \rho_i(r_i(\theta)) + \tfrac12 \Big\lVert \frac{\theta - \mu}{s} \Big\rVert^2,\quad l \le \theta \le u,\; c(\theta) \le 0 $$
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use argmin::core::{CostFunction, Error, Jacobian, Operator};
@@ -18,7 +19,7 @@ pub struct CalibrationProblem<'a, M: TangentModel> {
     prior: PriorResidual,
     lower: DVector<f64>,
     upper: DVector<f64>,
-    constraints: Vec<Box<dyn InequalityConstraint + 'a>>,
+    constraints: Vec<Arc<dyn InequalityConstraint + 'a>>,
     stop: Option<&'a AtomicBool>,
 }
 
@@ -136,7 +137,7 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
     /// Adds a constraint.
     #[must_use]
     pub fn with_constraint(mut self, constraint: impl InequalityConstraint + 'a) -> Self {
-        self.constraints.push(Box::new(constraint));
+        self.constraints.push(Arc::new(constraint));
         self
     }
 
@@ -145,6 +146,24 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
     pub fn with_stop_flag(mut self, flag: &'a AtomicBool) -> Self {
         self.stop = Some(flag);
         self
+    }
+
+    /// The same problem with one coordinate held at a value (moved into its box).
+    #[must_use]
+    pub fn with_fixed(&self, index: usize, coordinate: f64) -> Self {
+        let mut held = Self {
+            model: self.model,
+            residual: self.residual,
+            losses: self.losses.clone(),
+            prior: self.prior.clone(),
+            lower: self.lower.clone(),
+            upper: self.upper.clone(),
+            constraints: self.constraints.clone(),
+            stop: self.stop,
+        };
+        let value = coordinate.max(self.lower[index]).min(self.upper[index]);
+        (held.lower[index], held.upper[index]) = (value, value);
+        held
     }
 
     /// Number of coordinates.

@@ -15,7 +15,7 @@ impl QuadraticProgram {
     pub(super) fn solve_interior(&self, stack: &Stack) -> Result<(PrimalDual, u32), QpError> {
         let variable_count = self.gradient.len();
         let linear_count = stack.origins.len();
-        let objective_scale = self.hessian.amax().max(self.gradient.amax()).max(f64::MIN_POSITIVE);
+        let objective_scale = self.objective_scale();
         let hessian = upper_triangle(&(&self.hessian / objective_scale));
         let gradient: Vec<f64> = self.gradient.iter().map(|entry| entry / objective_scale).collect();
         let mut constraints = stack.rows.matrix.clone();

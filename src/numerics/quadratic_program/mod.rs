@@ -202,6 +202,11 @@ impl QuadraticProgram {
         0.5 * x.dot(&(&self.hessian * x)) + self.gradient.dot(x)
     }
 
+    /// Largest entry of the objective, by which it is divided before any solve.
+    fn objective_scale(&self) -> f64 {
+        self.hessian.amax().max(self.gradient.amax()).max(f64::MIN_POSITIVE)
+    }
+
     fn checked_rows(&self, what: &'static str, matrix: DMatrix<f64>, rhs: DVector<f64>) -> Result<Rows, QpError> {
         check_shape(what, matrix.ncols(), self.gradient.len())?;
         check_shape(what, matrix.nrows(), rhs.len())?;

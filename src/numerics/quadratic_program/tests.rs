@@ -148,3 +148,17 @@ fn impossible_and_bad_problems_are_refused_by_name() {
     let shape = plain().with_equalities(DMatrix::zeros(1, 3), DVector::zeros(1));
     assert!(matches!(shape, Err(QpError::Shape { found: 3, expected: 2, .. })));
 }
+
+/// A variable without curvature and a constraint written twice do not spoil the exactness of the rest.
+#[test]
+fn flat_directions_and_repeated_rows_leave_the_rest_exact() {
+    let hessian = DMatrix::from_diagonal(&DVector::from_vec(vec![2.0, 0.0]));
+    let rows = DMatrix::from_row_slice(2, 2, &[1.0, 0.0, 1.0, 0.0]);
+    let solution = QuadraticProgram::new(hessian, DVector::from_vec(vec![-60.0, 0.0]))
+        .and_then(|qp| qp.with_bounds(DVector::from_element(2, -25.0), DVector::from_element(2, 25.0)))
+        .and_then(|qp| qp.with_inequalities(rows, DVector::from_element(2, 20.0)))
+        .and_then(|qp| qp.solve())
+        .unwrap();
+    assert!((solution.x[0] - 20.0).abs() < 1e-12, "{}", solution.x[0]);
+    assert!((solution.inequality_multipliers.sum() - 20.0).abs() < 1e-9);
+}

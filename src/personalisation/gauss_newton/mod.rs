@@ -103,7 +103,7 @@ enum Trial<T> {
 /// [`PersonalisationError`] if the start cannot be evaluated, or a quadratic program has no answer. A simulation that fails later shrinks
 /// the step, and a search that does not converge says so in [`Calibration::outcome`].
 pub fn calibrate<M: TangentModel>(
-    problem: CalibrationProblem<'_, M>,
+    problem: &CalibrationProblem<'_, M>,
     start: &DVector<f64>,
     settings: GaussNewtonSettings,
     observer: &mut dyn FnMut(&IterationRecord),
@@ -177,7 +177,7 @@ impl<'o, T> GaussNewtonQp<'o, T> {
     /// Evaluates a proposal and adapts the radius.
     fn attempt<M: TangentModel<Trajectory = T>>(
         &mut self,
-        problem: &mut Problem<CalibrationProblem<'_, M>>,
+        problem: &mut Problem<&CalibrationProblem<'_, M>>,
         at: &Evaluation<T>,
         candidate: &DVector<f64>,
         proposal: &Proposal,
@@ -208,7 +208,7 @@ impl<'o, T> GaussNewtonQp<'o, T> {
     /// Proposes and tries until a step is accepted or the search ends.
     fn advance<M: TangentModel<Trajectory = T>>(
         &mut self,
-        problem: &mut Problem<CalibrationProblem<'_, M>>,
+        problem: &mut Problem<&CalibrationProblem<'_, M>>,
         evaluation: &Evaluation<T>,
         linearisation: &Linearisation,
         iteration: u64,
@@ -262,14 +262,14 @@ impl<'o, T> GaussNewtonQp<'o, T> {
     }
 }
 
-impl<M: TangentModel> Solver<CalibrationProblem<'_, M>, CalibrationState> for GaussNewtonQp<'_, M::Trajectory> {
+impl<M: TangentModel> Solver<&CalibrationProblem<'_, M>, CalibrationState> for GaussNewtonQp<'_, M::Trajectory> {
     fn name(&self) -> &str {
         "Gauss-Newton with quadratic programs"
     }
 
     fn init(
         &mut self,
-        problem: &mut Problem<CalibrationProblem<'_, M>>,
+        problem: &mut Problem<&CalibrationProblem<'_, M>>,
         mut state: CalibrationState,
     ) -> Result<(CalibrationState, Option<KV>), Error> {
         let start = taken_param(&mut state)?;
@@ -282,7 +282,7 @@ impl<M: TangentModel> Solver<CalibrationProblem<'_, M>, CalibrationState> for Ga
 
     fn next_iter(
         &mut self,
-        problem: &mut Problem<CalibrationProblem<'_, M>>,
+        problem: &mut Problem<&CalibrationProblem<'_, M>>,
         mut state: CalibrationState,
     ) -> Result<(CalibrationState, Option<KV>), Error> {
         let theta = taken_param(&mut state)?;
@@ -319,9 +319,9 @@ fn taken_param(state: &mut CalibrationState) -> Result<DVector<f64>, Error> {
 }
 
 fn own_problem<'p, 'a, M: TangentModel>(
-    problem: &'p Problem<CalibrationProblem<'a, M>>,
+    problem: &Problem<&'p CalibrationProblem<'a, M>>,
 ) -> Result<&'p CalibrationProblem<'a, M>, PersonalisationError> {
-    problem.problem.as_ref().ok_or_else(|| PersonalisationError::Optimiser("no problem".to_owned()))
+    problem.problem.ok_or_else(|| PersonalisationError::Optimiser("no problem".to_owned()))
 }
 
 #[cfg(test)]

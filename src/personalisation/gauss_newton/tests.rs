@@ -90,7 +90,7 @@ fn problem_in<'a, M: TangentModel<Trajectory = DVector<f64>>>(
 }
 
 fn search<M: TangentModel<Trajectory = DVector<f64>>>(problem: CalibrationProblem<'_, M>, start: [f64; 2]) -> Calibration<DVector<f64>> {
-    calibrate(problem, &DVector::from_column_slice(&start), GaussNewtonSettings::default(), &mut |_| ()).unwrap()
+    calibrate(&problem, &DVector::from_column_slice(&start), GaussNewtonSettings::default(), &mut |_| ()).unwrap()
 }
 
 #[test]
@@ -110,7 +110,7 @@ fn an_active_bound_is_found_and_reported() {
     for shape in [TrustShape::Ball, TrustShape::Box] {
         let settings = GaussNewtonSettings { trust_shape: shape, ..GaussNewtonSettings::default() };
         let start = DVector::from_vec(vec![-1.2, 1.0]);
-        let found = calibrate(problem_in(&model, &SQUARES, [-3.0, -3.0], [0.8, 3.0]), &start, settings, &mut |_| ()).unwrap();
+        let found = calibrate(&problem_in(&model, &SQUARES, [-3.0, -3.0], [0.8, 3.0]), &start, settings, &mut |_| ()).unwrap();
         assert!((found.coordinates - DVector::from_vec(vec![0.8, 0.64])).amax() < 1e-6, "{shape:?}");
         assert_eq!(found.outcome.status(), "on_bound");
         assert_eq!(found.records.last().unwrap().active_upper, [0]);
@@ -166,7 +166,7 @@ fn failed_simulations_shrink_the_step_instead_of_ending_the_search() {
     let model = Map::new(guarded, valley_jacobian);
     let settings = GaussNewtonSettings { initial_radius: 50.0, ..GaussNewtonSettings::default() };
     let start = DVector::from_vec(vec![-1.2, 1.0]);
-    let found = calibrate(problem_in(&model, &SQUARES, [-3.0, -3.0], [3.0, 3.0]), &start, settings, &mut |_| ()).unwrap();
+    let found = calibrate(&problem_in(&model, &SQUARES, [-3.0, -3.0], [3.0, 3.0]), &start, settings, &mut |_| ()).unwrap();
     assert!((found.coordinates - DVector::from_element(2, 1.0)).amax() < 1e-6, "{:?}", found.outcome);
     // Full steps of arctan x = ½ from −3 overshoot far into the failing half-plane.
     let overshooting = Map::new(
@@ -176,7 +176,7 @@ fn failed_simulations_shrink_the_step_instead_of_ending_the_search() {
         |theta: &DVector<f64>| DMatrix::from_row_slice(2, 2, &[1.0 / (1.0 + theta[0] * theta[0]), 0.0, 0.0, 1.0]),
     );
     let found = calibrate(
-        problem_in(&overshooting, &SQUARES, [-30.0, -3.0], [30.0, 3.0]),
+        &problem_in(&overshooting, &SQUARES, [-30.0, -3.0], [30.0, 3.0]),
         &DVector::from_vec(vec![-3.0, 1.0]),
         settings,
         &mut |_| (),
@@ -190,11 +190,11 @@ fn failed_simulations_shrink_the_step_instead_of_ending_the_search() {
 fn a_start_that_cannot_be_simulated_is_an_error() {
     let model = Map::new(|_: &DVector<f64>| Err(OutOfDomain), valley_jacobian);
     let problem = problem_in(&model, &SQUARES, [-3.0, -3.0], [3.0, 3.0]);
-    let error = calibrate(problem, &DVector::zeros(2), GaussNewtonSettings::default(), &mut |_| ()).unwrap_err();
+    let error = calibrate(&problem, &DVector::zeros(2), GaussNewtonSettings::default(), &mut |_| ()).unwrap_err();
     assert!(matches!(error, PersonalisationError::Simulation { .. }), "{error}");
     let poisoned = Map::new(|_: &DVector<f64>| Ok(DVector::from_vec(vec![0.0, f64::NAN])), valley_jacobian);
     let problem = problem_in(&poisoned, &SQUARES, [-3.0, -3.0], [3.0, 3.0]);
-    let error = calibrate(problem, &DVector::zeros(2), GaussNewtonSettings::default(), &mut |_| ()).unwrap_err();
+    let error = calibrate(&problem, &DVector::zeros(2), GaussNewtonSettings::default(), &mut |_| ()).unwrap_err();
     assert!(matches!(error, PersonalisationError::NonFiniteResidual { row: 1, .. }), "{error}");
 }
 
@@ -206,7 +206,7 @@ fn a_stop_keeps_the_best_point_so_far() {
     let problem = problem_in(&model, &SQUARES, [-3.0, -3.0], [3.0, 3.0]).with_stop_flag(&flag);
     let mut observer = |record: &IterationRecord| flag.store(record.iteration == 2, Ordering::SeqCst);
     let start = DVector::from_vec(vec![-1.2, 1.0]);
-    let found = calibrate(problem, &start, GaussNewtonSettings::default(), &mut observer).unwrap();
+    let found = calibrate(&problem, &start, GaussNewtonSettings::default(), &mut observer).unwrap();
     assert_eq!(found.outcome, CalibrationOutcome::Stopped);
     assert_eq!(found.records.len(), 3);
     assert_eq!(found.coordinates, found.records[2].coordinates);
@@ -217,7 +217,7 @@ fn too_few_iterations_are_an_outcome() {
     let model = Map::new(valley, valley_jacobian);
     let settings = GaussNewtonSettings { max_iterations: 1, ..GaussNewtonSettings::default() };
     let problem = problem_in(&model, &SQUARES, [-3.0, -3.0], [3.0, 3.0]);
-    let found = calibrate(problem, &DVector::from_vec(vec![-1.2, 1.0]), settings, &mut |_| ()).unwrap();
+    let found = calibrate(&problem, &DVector::from_vec(vec![-1.2, 1.0]), settings, &mut |_| ()).unwrap();
     assert_eq!(found.outcome, CalibrationOutcome::MaxIterations);
     assert_eq!(found.records.len(), 2);
 }
