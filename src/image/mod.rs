@@ -1,5 +1,6 @@
 //! Images in world millimetres: volumes, cine sequences, label maps; knows no mesh.
 
+mod alignment;
 mod cine;
 mod error;
 mod grid;
@@ -8,10 +9,12 @@ mod nifti;
 mod preprocess;
 mod sampling;
 mod smoothing;
+mod summary;
 mod timing;
 mod volume;
 mod volume_curve;
 
+pub use alignment::{SliceShifts, correct_slice_shifts, estimate_slice_shifts};
 pub use cine::CineSequence;
 pub use error::ImageError;
 pub use grid::Grid;
@@ -20,6 +23,7 @@ pub use nifti::{CineReading, NiftiImage, read_cine, read_label_map, read_label_m
 pub use preprocess::{PREPARED_MAX, PreprocessSettings, preprocess};
 pub use sampling::CineInstant;
 pub use smoothing::gaussian_smoothed;
+pub use summary::CineSummary;
 pub use timing::CineTiming;
 pub use volume::{LabelMap, Volume};
 pub use volume_curve::{CurvePoint, MidDiastole, VolumeCurve};
