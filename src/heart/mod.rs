@@ -16,7 +16,7 @@ mod step;
 
 pub use base_motion::BaseMotion;
 pub use error::{HeartError, StepError};
-pub use model::{HeartModel, ModelSettings};
+pub use model::{HeartModel, ModelSettings, PressureLoad};
 pub use observables::BeatObservables;
 pub use onset::OnsetSites;
 pub use parameters::{OutOfRange, Parameter, ParameterSpec, Parameters, Section};

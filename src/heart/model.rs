@@ -12,6 +12,17 @@ use crate::electrophysiology::{ActivationMap, activate};
 use crate::mechanics::{ContractionLaw, MotionState, Myocardium, PassiveProperties, StepOperator};
 use crate::mesh::SurfaceTag;
 
+/// Which configuration the cavity pressures act on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum PressureLoad {
+    /// Normals and areas of the heart at rest: the linear theory's own, and a convex problem in every step.
+    #[default]
+    Reference,
+    /// Normals and areas of the moving surface. Its load is consistent with the work p dV, but in linear kinematics, which take twist for
+    /// growth, it lets a soft ventricle snap into a twisted and inflated state.
+    Following,
+}
+
 /// What is chosen beside the parameters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelSettings {
@@ -21,13 +32,21 @@ pub struct ModelSettings {
     pub onset_sites: OnsetSites,
     /// Where the base springs are anchored over the cycle; at rest without it.
     pub base_motion: Option<Arc<BaseMotion>>,
+    /// Which configuration the cavity pressures act on.
+    pub pressure_load: PressureLoad,
     /// Largest difference between a cavity's volume and what its valves let through in a step, mL.
     pub volume_tolerance_ml: f64,
 }
 
 impl Default for ModelSettings {
     fn default() -> Self {
-        Self { step_s: 0.005, onset_sites: OnsetSites::Normal, base_motion: None, volume_tolerance_ml: 1e-6 }
+        Self {
+            step_s: 0.005,
+            onset_sites: OnsetSites::Normal,
+            base_motion: None,
+            pressure_load: PressureLoad::default(),
+            volume_tolerance_ml: 1e-6,
+        }
     }
 }
 

@@ -79,13 +79,13 @@ parameter_table! {
     OnsetTime: Electrophysiology "onset_time_s" ["s"] = 0.02 in -0.5..1.0, "First depolarisation after the trigger (R wave).", "chosen: trigger on the R wave";
     ActionPotentialDuration: Electrophysiology "action_potential_duration_s" ["s"] = 0.3 in 0.05..0.6, "Action potential duration APD.", "0.25-0.33 s";
     HeartPeriod: Electrophysiology "heart_period_s" ["s"] = 0.8 in 0.25..2.5, "Heart period HP; a cine sequence sets it.", "75 beats a minute";
-    ContractionPeakLv: Mechanics "contraction_peak_lv_kpa" ["kPa"] = 300.0 in 0.0..1000.0, "Peak contraction σ0 of the left ventricle.", "chosen with the stiffness: EF 0.53, 120 mmHg; [Billet2009] §6.2 has 90";
-    ContractionPeakRv: Mechanics "contraction_peak_rv_kpa" ["kPa"] = 235.0 in 0.0..1000.0, "Peak contraction σ0 of the right ventricle.", "chosen: 70/90 of the left, as in [Billet2009] §6.2";
-    ContractionPeakScar: Mechanics "contraction_peak_scar_kpa" ["kPa"] = 200.0 in 0.0..1000.0, "Peak contraction σ0 of scar.", "chosen: 60/90 of the left, as in [Billet2009] §6.2";
+    ContractionPeakLv: Mechanics "contraction_peak_lv_kpa" ["kPa"] = 120.0 in 0.0..1000.0, "Peak contraction σ0 of the left ventricle.", "chosen with the stiffness: EF 0.57, 114/68 mmHg on the idealised left ventricle; [Billet2009] §6.2 has 90";
+    ContractionPeakRv: Mechanics "contraction_peak_rv_kpa" ["kPa"] = 93.0 in 0.0..1000.0, "Peak contraction σ0 of the right ventricle.", "chosen: 70/90 of the left, as in [Billet2009] §6.2";
+    ContractionPeakScar: Mechanics "contraction_peak_scar_kpa" ["kPa"] = 80.0 in 0.0..1000.0, "Peak contraction σ0 of scar.", "chosen: 60/90 of the left, as in [Billet2009] §6.2";
     ContractionRate: Mechanics "contraction_rate_per_s" ["1/s"] = 10.0 in 0.5..100.0, "Contraction rate kATP.", "5-15 1/s";
     RelaxationRate: Mechanics "relaxation_rate_per_s" ["1/s"] = 15.0 in 0.5..200.0, "Relaxation rate kRS.", "chosen; 20-30 1/s where the wall is softer and recoils less";
-    FibreStiffness: Mechanics "fibre_stiffness_kpa" ["kPa"] = 300.0 in 0.1..2000.0, "Young's modulus E_f along the fibre.", "chosen: under linear kinematics a softer wall (15-75 kPa) twists instead of shortening";
-    TransverseStiffness: Mechanics "transverse_stiffness_kpa" ["kPa"] = 150.0 in 0.1..2000.0, "Young's modulus E_t across the fibre.", "chosen: under linear kinematics a softer wall (5-60 kPa) twists instead of shortening";
+    FibreStiffness: Mechanics "fibre_stiffness_kpa" ["kPa"] = 100.0 in 0.1..2000.0, "Young's modulus E_f along the fibre.", "chosen; 15-75 kPa are published, but linear kinematics take twist for growth and want a stiffer wall";
+    TransverseStiffness: Mechanics "transverse_stiffness_kpa" ["kPa"] = 60.0 in 0.1..2000.0, "Young's modulus E_t across the fibre.", "chosen with the fibre stiffness; 5-60 kPa are published";
     PoissonRatio: Mechanics "poisson_ratio" ["1"] = 0.4 in 0.0..0.49, "Poisson's ratio ν, along and across.", "0.4-0.45 with linear tetrahedra";
     Density: Mechanics "density_kg_per_mm3" ["kg/mm³"] = 1.06e-6 in 1e-7..1e-5, "Mass density of the myocardium.", "1060 kg/m³";
     DampingMass: Mechanics "damping_mass_per_s" ["1/s"] = 10.0 in 0.0..1000.0, "Rayleigh damping α on the mass.", "chosen";
@@ -110,10 +110,10 @@ parameter_table! {
     AtrialKickRight: Circulation "atrial_kick_right_kpa" ["kPa"] = 0.3 in 0.0..4.0, "Height of the right atrial kick.", "chosen";
     AtrialKickDuration: Circulation "atrial_kick_duration_s" ["s"] = 0.12 in 0.01..0.4, "Duration of the atrial kick, which ends at the onset of the ventricles.", "about 0.1 s";
     ValveResistance: Circulation "valve_resistance_kpa_s_per_ml" ["kPa·s/mL"] = 0.002 in 1e-6..0.1, "Resistance of an open valve.", "chosen: 1 kPa at 500 mL/s";
-    ImageGainEndocardiumLv: Tracking "image_gain_endocardium_lv_kpa_per_mm" ["kPa/mm"] = 1.0 in 0.0..1e4, "Image gain γ per area on the LV endocardium.", "chosen from held-out boundary points";
-    ImageGainEndocardiumRv: Tracking "image_gain_endocardium_rv_kpa_per_mm" ["kPa/mm"] = 1.0 in 0.0..1e4, "Image gain γ per area on the RV endocardium.", "chosen from held-out boundary points";
-    ImageGainEpicardium: Tracking "image_gain_epicardium_kpa_per_mm" ["kPa/mm"] = 1.0 in 0.0..1e4, "Image gain γ per area on the epicardium.", "chosen from held-out boundary points";
-    ImageGainBase: Tracking "image_gain_base_kpa_per_mm" ["kPa/mm"] = 1.0 in 0.0..1e4, "Gain per area of the block-matched base.", "chosen";
+    ImageGainEndocardiumLv: Tracking "image_gain_endocardium_lv_kpa_per_mm" ["kPa/mm"] = 20.0 in 0.0..1e4, "Image gain γ per area on the LV endocardium.", "chosen from held-out boundary points";
+    ImageGainEndocardiumRv: Tracking "image_gain_endocardium_rv_kpa_per_mm" ["kPa/mm"] = 20.0 in 0.0..1e4, "Image gain γ per area on the RV endocardium.", "chosen from held-out boundary points";
+    ImageGainEpicardium: Tracking "image_gain_epicardium_kpa_per_mm" ["kPa/mm"] = 20.0 in 0.0..1e4, "Image gain γ per area on the epicardium.", "chosen from held-out boundary points";
+    ImageGainBase: Tracking "image_gain_base_kpa_per_mm" ["kPa/mm"] = 5.0 in 0.0..1e4, "Gain per area of the block-matched base.", "chosen";
 }
 
 /// One value a parameter, always within its physical range.

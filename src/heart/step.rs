@@ -2,14 +2,15 @@
 //!
 //! With all forces but the cavity pressures on the right, the position at the end of the step is affine in the pressures,
 //!
-//! $$Y(p) = y_0 + \sum_k p_k W_k, \qquad y_0 = \tilde K^{-1} F, \quad W_k = \tilde K^{-1} \partial_y V_k(Y^*),$$
+//! $$Y(p) = y_0 + \sum_k p_k W_k, \qquad y_0 = \tilde K^{-1} F, \quad W_k = \tilde K^{-1} L_k,$$
 //!
-//! so the cavities answer as $V_k(p) = V_k(Y^*) + \partial_y V_k \cdot (Y(p) - Y^*)$, and the valves give the pressures. The volume is
+//! with $L_k$ the force of a unit pressure: $\partial_y V_k$ at rest ([`PressureLoad::Reference`]) or at $Y^*$ ([`PressureLoad::Following`]).
+//! The cavities answer as $V_k(p) = V_k(Y^*) + \partial_y V_k \cdot (Y(p) - Y^*)$, and the valves give the pressures. The volume is
 //! cubic in $Y$: the linearisation point $Y^*$ moves to $Y(p)$ until the volumes are those that the valves let through.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
-use super::{HeartModel, HeartState, StepError, VentricleState};
+use super::{HeartModel, HeartState, PressureLoad, StepError, VentricleState};
 use crate::circulation::{CavityResponse, CirculationError, ValveProblem, VentricleFlow, VentriclePorts};
 use crate::mechanics::{MechanicsError, SolveReport, StepLoad, StepSolver, StepSystem};
 use crate::units::{MM3_PER_ML, mm3_from_ml};
@@ -84,8 +85,7 @@ impl HeartModel {
         let mut defect_mm3 = f64::INFINITY;
         for round_count in 1..=ROUND_LIMIT {
             if round_count > 1 {
-                let again = self.solve_yields(workspace).map_err(mechanics)?;
-                solve.iteration_count += again.iteration_count;
+                solve.iteration_count += self.solve_yields(workspace).map_err(mechanics)?;
             }
             let response = self.cavity_response(workspace);
             let valves = ValveProblem::new(&response, &before_mm3, &ports, self.valve_resistance(), step_s).map_err(circulation)?;
@@ -129,18 +129,33 @@ impl HeartModel {
     /// y₀ and the first W together: one pass over the factor.
     fn solve_free(&self, workspace: &mut StepWorkspace) -> Result<SolveReport, MechanicsError> {
         self.write_gradients(workspace);
-        let StepWorkspace { solver, system, free_mm, trial_mm, gradients_mm2, yields_mm_per_kpa, .. } = workspace;
+        self.write_pressure_loads(workspace);
+        let StepWorkspace { solver, system, free_mm, trial_mm, yields_mm_per_kpa, .. } = workspace;
         free_mm.copy_from_slice(trial_mm);
-        copy_columns(gradients_mm2, yields_mm_per_kpa);
         solver.solve(&self.operator, system, free_mm, yields_mm_per_kpa)
     }
 
-    /// W at a new Y*.
-    fn solve_yields(&self, workspace: &mut StepWorkspace) -> Result<SolveReport, MechanicsError> {
+    /// ∂V, and W where the load follows the surface, at a new Y*; nothing is solved where it does not.
+    fn solve_yields(&self, workspace: &mut StepWorkspace) -> Result<usize, MechanicsError> {
         self.write_gradients(workspace);
-        let StepWorkspace { solver, system, gradients_mm2, yields_mm_per_kpa, .. } = workspace;
-        copy_columns(gradients_mm2, yields_mm_per_kpa);
-        solver.solve_responses(&self.operator, &system.stiffness_mn_per_mm, yields_mm_per_kpa)
+        if self.settings.pressure_load == PressureLoad::Reference {
+            return Ok(0);
+        }
+        self.write_pressure_loads(workspace);
+        let StepWorkspace { solver, system, yields_mm_per_kpa, .. } = workspace;
+        let report = solver.solve_responses(&self.operator, &system.stiffness_mn_per_mm, yields_mm_per_kpa)?;
+        Ok(report.iteration_count)
+    }
+
+    /// The forces of a unit pressure, where W will be.
+    fn write_pressure_loads(&self, workspace: &mut StepWorkspace) {
+        let StepWorkspace { gradients_mm2, yields_mm_per_kpa, .. } = workspace;
+        for ((model, gradient), load) in self.ventricles.iter().zip(gradients_mm2).zip(yields_mm_per_kpa) {
+            match self.settings.pressure_load {
+                PressureLoad::Reference => load.copy_from_slice(&model.rest_gradient_mm2),
+                PressureLoad::Following => load.copy_from_slice(gradient),
+            }
+        }
     }
 
     fn write_gradients(&self, workspace: &mut StepWorkspace) {
@@ -236,12 +251,6 @@ impl StepWorkspace {
 /// h (q_out − q_in), mm³.
 fn net_outflow_mm3(flow: &VentricleFlow, step_s: f64) -> f64 {
     mm3_from_ml((flow.outflow_ml_per_s - flow.inflow_ml_per_s) * step_s)
-}
-
-fn copy_columns(from: &[Vec<Vector3<f64>>], to: &mut [Vec<Vector3<f64>>]) {
-    for (from, to) in from.iter().zip(to) {
-        to.copy_from_slice(from);
-    }
 }
 
 fn dot(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
