@@ -139,9 +139,11 @@ fn gain_parameter(tag: SurfaceTag) -> Option<Parameter> {
 /// One period from the reference frame, with a frame at every image and at the end.
 fn plan_of(cine: &CineSequence, reference_frame: usize) -> SimulationPlan {
     let (times_s, period_s) = (cine.times_s(), cine.period_s());
-    let start_time_s = times_s[reference_frame];
-    let later = times_s[reference_frame..].iter().copied();
-    let next_beat = times_s[..=reference_frame].iter().map(|t| t + period_s);
+    // A reference in the second half of the cycle belongs to the diastole before the first trigger: no contraction precedes it.
+    let earlier_s = if times_s[reference_frame] > 0.5 * period_s { period_s } else { 0.0 };
+    let start_time_s = times_s[reference_frame] - earlier_s;
+    let later = times_s[reference_frame..].iter().map(|t| t - earlier_s);
+    let next_beat = times_s[..=reference_frame].iter().map(|t| t + period_s - earlier_s);
     SimulationPlan { start_time_s, end_time_s: start_time_s + period_s, frame_times_s: later.chain(next_beat).collect() }
 }
 
