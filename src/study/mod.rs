@@ -7,6 +7,7 @@ pub mod plan;
 mod progress;
 mod provenance;
 mod reader;
+mod run;
 
 pub use config::{Config, Overrides};
 pub use error::{Problem, StudyError};
@@ -15,3 +16,4 @@ pub use plan::{Kind, Plan};
 pub use progress::{Progress, RunContext, Silent};
 pub use provenance::Provenance;
 pub use reader::Choice;
+pub use run::{RunError, run};

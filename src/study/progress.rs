@@ -43,6 +43,11 @@ impl<'a> RunContext<'a> {
         self.progress
     }
 
+    /// The switch that stops it.
+    pub fn stop(&self) -> &'a AtomicBool {
+        self.stop
+    }
+
     /// Whether the run should write what it has and end with [`super::Status::Stopped`].
     pub fn is_stopped(&self) -> bool {
         self.stop.load(Ordering::Relaxed)

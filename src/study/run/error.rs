@@ -1,0 +1,55 @@
+//! Why a run could not be completed: the room it failed in, in that room's own words.
+
+use crate::anatomy::AnatomyError;
+use crate::heart::{HeartError, OutOfRange, StepError};
+use crate::image::ImageError;
+use crate::mesh::MeshError;
+use crate::personalisation::PersonalisationError;
+use crate::phantom::PhantomError;
+use crate::report::ReportError;
+use crate::tracking::TrackingError;
+
+/// Why a run could not be completed.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
+pub enum RunError {
+    /// An image or label map.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// A frame named in the study file that the cine does not have.
+    #[error("{key} = {frame}, but the cine has {frame_count} frames (counted from 0); correct the study file")]
+    FrameOutOfRange { key: &'static str, frame: usize, frame_count: usize },
+    /// The heart at rest.
+    #[error("the anatomy cannot be built: {0}")]
+    Anatomy(#[from] AnatomyError),
+    /// A mesh.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    /// The synthetic patient.
+    #[error("the phantom cannot be made: {0}")]
+    Phantom(#[from] PhantomError),
+    /// The model.
+    #[error("the heart cannot be put together: {0}")]
+    Heart(#[from] HeartError),
+    /// A step of the simulation.
+    #[error("the simulation failed: {0}")]
+    Step(#[from] StepError),
+    /// Tracking.
+    #[error("tracking failed: {0}")]
+    Tracking(#[from] TrackingError),
+    /// Personalisation.
+    #[error("personalisation failed: {0}")]
+    Personalisation(#[from] PersonalisationError),
+    /// A parameter value.
+    #[error(transparent)]
+    OutOfRange(#[from] OutOfRange),
+    /// A file that could not be written.
+    #[error(transparent)]
+    Report(#[from] ReportError),
+    /// A personalisation without images or free parameters.
+    #[error("there is nothing to fit: the study needs images and free parameters")]
+    NothingToFit,
+    /// The run was stopped before it had anything to write.
+    #[error("stopped before there was a result to write")]
+    Stopped,
+}

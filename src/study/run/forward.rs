@@ -1,0 +1,64 @@
+//! Free beats: the plan's heart put together, run over its clock, and read off.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use nalgebra::Vector3;
+
+use super::clock::Clock;
+use super::error::RunError;
+use crate::anatomy::{Anatomy, Ventricle};
+use crate::heart::{BeatObservables, HeartModel, ModelSettings, OnsetSites, Parameters, SimulationPlan, Trajectory, simulate};
+use crate::mechanics::StepLoad;
+use crate::mesh::SurfaceTag;
+use crate::study::RunContext;
+use crate::study::plan::{ModelPlan, OnsetSite};
+
+/// The heart of a plan on an anatomy.
+pub(super) fn heart_model(plan: &ModelPlan, anatomy: &Arc<Anatomy>, parameters: Parameters) -> Result<HeartModel, RunError> {
+    let endocardium = || anatomy.surface.vertices_with(SurfaceTag::EndocardiumLv);
+    let onset_sites = match plan.onset.place {
+        OnsetSite::Normal => OnsetSites::Normal,
+        OnsetSite::Endocardium => OnsetSites::Vertices(endocardium().into_iter().map(|vertex| (vertex, 0.0)).collect()),
+        OnsetSite::Sites => {
+            OnsetSites::Vertices(plan.onset.sites.iter().map(|(at, delay_s)| (nearest_vertex(anatomy, at), *delay_s)).collect())
+        }
+    };
+    let settings = ModelSettings { step_s: plan.step_s, onset_sites, ..ModelSettings::default() };
+    Ok(HeartModel::new(Arc::clone(anatomy), parameters, settings)?)
+}
+
+fn nearest_vertex(anatomy: &Anatomy, position_mm: &Vector3<f64>) -> usize {
+    let squared = |vertex: &Vector3<f64>| (vertex - position_mm).norm_squared();
+    let vertices = anatomy.mesh.vertices_mm().iter().map(squared).enumerate();
+    vertices.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(vertex, _)| vertex)
+}
+
+/// Beats `model` over `clock` under `loads`, telling how far it is and stopping when asked.
+pub(super) fn beat(model: &HeartModel, clock: &Clock, loads: &[&dyn StepLoad], context: &RunContext) -> Result<Trajectory, RunError> {
+    let plan = SimulationPlan { start_time_s: clock.start_s, end_time_s: clock.end_s, frame_times_s: clock.times_s.clone() };
+    let mut done = 0;
+    let mut observer = |_: &_, _: &_| {
+        context.progress().step(done);
+        done += 1;
+        if context.is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    };
+    Ok(simulate(model, &plan, loads, &mut observer)?)
+}
+
+/// Steps of a run over `clock`, for a progress bar.
+pub(super) fn step_count(clock: &Clock, step_s: f64) -> u64 {
+    ((clock.end_s - clock.start_s) / step_s).ceil().max(0.0) as u64
+}
+
+/// The last beat of a trajectory in figures, a ventricle each.
+pub(super) fn observables(trajectory: &Trajectory, clock: &Clock) -> Vec<(Ventricle, BeatObservables)> {
+    let of =
+        |ventricle| BeatObservables::of_beat(&trajectory.curves, ventricle, clock.last_beat_s(), clock.period_s).map(|o| (ventricle, o));
+    [Ventricle::Left, Ventricle::Right].into_iter().filter_map(of).collect()
+}
+
+/// Volumes of the left ventricle at the frames, mL.
+pub(super) fn frame_volumes_lv_ml(trajectory: &Trajectory) -> Vec<f64> {
+    trajectory.frames.iter().filter_map(|frame| frame.volume_ml.first().copied()).collect()
+}

@@ -1,0 +1,33 @@
+//! Runs: what each kind of study does with its plan, from the files it reads to the files it leaves.
+
+mod calibration;
+mod clock;
+mod error;
+mod forward;
+mod leave;
+mod patient;
+mod personalise;
+mod pictures;
+mod simulate;
+mod synthetic;
+mod track;
+mod track_only;
+
+pub use error::RunError;
+
+use super::plan::Kind;
+use super::{Outcome, Plan, RunContext};
+use crate::report::create_folder;
+
+/// Runs a plan and leaves its files in the plan's folder.
+///
+/// # Errors
+/// [`RunError`] names the room that failed, with its reason and remedy.
+pub fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
+    create_folder(&plan.output.directory)?;
+    match plan.kind {
+        Kind::Simulate => simulate::run(plan, context),
+        Kind::Track => track_only::run(plan, context),
+        Kind::Personalise => personalise::run(plan, context),
+    }
+}

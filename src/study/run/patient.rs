@@ -1,0 +1,158 @@
+//! What a run looks at: the heart at rest and, where there are any, its images, however they came about.
+
+use std::sync::Arc;
+
+use super::clock::Clock;
+use super::error::RunError;
+use super::synthetic::{self, Truth};
+use crate::anatomy::mesher::MesherSettings;
+use crate::anatomy::{Anatomy, AnatomySettings, FibreRule, build_lv_from_fields};
+use crate::heart::{Parameter, Parameters};
+use crate::image::{
+    CineSequence, CineTiming, FieldOptions, LabelMap, PreprocessSettings, VentricleCodes, preprocess, read_cine, read_label_map,
+    ventricle_fields,
+};
+use crate::study::RunContext;
+use crate::study::plan::{AnatomyPlan, AnatomySource, IdealisedLv, ImageSource, ImagesPlan, Plan};
+
+/// Frames of a beat that is compared with no images: as many as a fine cine has.
+const FRAMES_WITHOUT_IMAGES: usize = 30;
+
+/// A heart at rest with its images.
+pub(super) struct Patient {
+    pub(super) anatomy: Arc<Anatomy>,
+    /// The plan's parameters, with the heart period of the images.
+    pub(super) parameters: Parameters,
+    pub(super) images: Option<PatientImages>,
+    /// What is known of a synthetic patient.
+    pub(super) truth: Option<Truth>,
+    /// Time at which the mesh rests where there are no images, s.
+    pub(super) reference_s: f64,
+    pub(super) warnings: Vec<String>,
+}
+
+/// Images and labels of one patient.
+pub(super) struct PatientImages {
+    /// Preprocessed frames.
+    pub(super) cine: CineSequence,
+    /// The frame that the mesh was drawn on.
+    pub(super) reference_frame: usize,
+    /// Distance of the original slices, mm.
+    pub(super) slice_distance_mm: f64,
+    /// Labels that nothing was fitted to, with their frame and the code of the LV cavity.
+    pub(super) validation: Vec<(usize, LabelMap, u8)>,
+}
+
+impl Patient {
+    /// Reads or makes the patient of a plan.
+    pub(super) fn new(plan: &Plan, context: &RunContext) -> Result<Self, RunError> {
+        match (&plan.anatomy.source, &plan.images) {
+            (AnatomySource::IdealisedLv(shape), Some(ImageSource::Phantom(phantom))) => synthetic::patient(plan, shape, phantom, context),
+            (AnatomySource::IdealisedLv(shape), _) => {
+                context.progress().stage("building the anatomy", None);
+                let anatomy = idealised_anatomy(&plan.anatomy, shape)?;
+                let reference_s = shape.reference_time_s;
+                let parameters = plan.parameters.clone();
+                Ok(Self { anatomy: Arc::new(anatomy), parameters, images: None, truth: None, reference_s, warnings: Vec::new() })
+            }
+            (AnatomySource::Labels { path, codes, frame }, images) => {
+                context.progress().stage("reading images and labels", None);
+                let labels = read_label_map(path)?;
+                let mut warnings = Vec::new();
+                let mut parameters = plan.parameters.clone();
+                let images = match images {
+                    Some(ImageSource::Cine(images)) => Some(read_images(images, *frame, plan, &mut parameters, &mut warnings)?),
+                    _ => None,
+                };
+                context.progress().stage("building the anatomy", None);
+                let codes = VentricleCodes { cavity: to_code(codes.cavity_lv), wall: to_code(codes.wall_lv) };
+                let anatomy = anatomy_from_labels(&plan.anatomy, &labels, &codes, &mut warnings)?;
+                Ok(Self { anatomy: Arc::new(anatomy), parameters, images, truth: None, reference_s: 0.0, warnings })
+            }
+        }
+    }
+
+    /// The clock of `beats` beats from the reference frame.
+    pub(super) fn clock(&self, beats: usize) -> Clock {
+        let period_s = self.parameters[Parameter::HeartPeriod];
+        match &self.images {
+            Some(images) => Clock::new(images.reference_frame, images.cine.times_s(), period_s, beats),
+            None => {
+                let times_s: Vec<f64> =
+                    (0..FRAMES_WITHOUT_IMAGES).map(|n| self.reference_s + period_s * n as f64 / FRAMES_WITHOUT_IMAGES as f64).collect();
+                Clock::new(0, &times_s, period_s, beats)
+            }
+        }
+    }
+}
+
+fn to_code(code: u16) -> u8 {
+    u8::try_from(code).unwrap_or(u8::MAX)
+}
+
+fn read_images(
+    images: &ImagesPlan,
+    reference_frame: usize,
+    plan: &Plan,
+    parameters: &mut Parameters,
+    warnings: &mut Vec<String>,
+) -> Result<PatientImages, RunError> {
+    let mut timing = images.timing.as_deref().map(CineTiming::from_sidecar).transpose()?.unwrap_or_default();
+    if plan.written.contains(&Parameter::HeartPeriod) {
+        timing.period_s = Some(plan.parameters[Parameter::HeartPeriod]);
+    }
+    timing.start_s = images.first_frame_s.or(timing.start_s);
+    let read = read_cine(&images.cine, &timing)?;
+    warnings.extend(read.warnings);
+    let frame_count = read.cine.frames().len();
+    let in_range = |key, frame| if frame < frame_count { Ok(frame) } else { Err(RunError::FrameOutOfRange { key, frame, frame_count }) };
+    in_range("anatomy.frame", reference_frame)?;
+    parameters.set(Parameter::HeartPeriod, read.cine.period_s())?;
+    let validation = images.validation.iter().map(|labels| {
+        in_range("images.validation.frame", labels.frame)?;
+        Ok((labels.frame, read_label_map(&labels.path)?, to_code(labels.code_cavity_lv)))
+    });
+    let validation = validation.collect::<Result<_, RunError>>()?;
+    let slice_distance_mm = read.cine.grid().spacing_mm().z;
+    let settings = PreprocessSettings {
+        spacing_mm: images.isotropic_spacing_mm,
+        quantile_low: images.quantile_low,
+        quantile_high: images.quantile_high,
+    };
+    Ok(PatientImages { cine: preprocess(&read.cine, &settings)?, reference_frame, slice_distance_mm, validation })
+}
+
+/// What a study says of every anatomy.
+pub(super) fn anatomy_settings(plan: &AnatomyPlan) -> AnatomySettings {
+    let default = AnatomySettings::default();
+    AnatomySettings {
+        fibres: FibreRule { helix_endocardium_deg: plan.fibres.endocardium_deg, helix_epicardium_deg: plan.fibres.epicardium_deg },
+        septal_direction: plan.septal_direction.unwrap_or(default.septal_direction),
+    }
+}
+
+/// The idealised left ventricle of a plan.
+pub(super) fn idealised_anatomy(plan: &AnatomyPlan, shape: &IdealisedLv) -> Result<Anatomy, RunError> {
+    let ideal = crate::phantom::IdealisedLv {
+        cavity_radius_mm: shape.cavity_radius_mm,
+        cavity_length_mm: shape.cavity_length_mm,
+        base_height_mm: shape.base_height_mm,
+        wall_thickness_mm: shape.wall_thickness_mm,
+        apex_thickness_mm: shape.apex_thickness_mm,
+        ..crate::phantom::IdealisedLv::default()
+    };
+    Ok(ideal.build(&MesherSettings::with_edge_length_mm(plan.edge_length_mm), &anatomy_settings(plan))?)
+}
+
+/// The left ventricle that a label map shows.
+pub(super) fn anatomy_from_labels(
+    plan: &AnatomyPlan,
+    labels: &LabelMap,
+    codes: &VentricleCodes,
+    warnings: &mut Vec<String>,
+) -> Result<Anatomy, RunError> {
+    let fields = ventricle_fields(labels, codes, &FieldOptions::default())?;
+    warnings.extend(fields.warnings.iter().cloned());
+    let mesher = MesherSettings::with_edge_length_mm(plan.edge_length_mm);
+    Ok(build_lv_from_fields(&fields, &mesher, &anatomy_settings(plan))?)
+}

@@ -1,0 +1,89 @@
+//! A synthetic patient: an idealised heart beats with true parameters, is imaged, and is handed over as a patient would be.
+
+use std::sync::Arc;
+
+use super::clock::Clock;
+use super::error::RunError;
+use super::forward::{beat, frame_volumes_lv_ml, heart_model, step_count};
+use super::patient::{Patient, PatientImages, anatomy_from_labels, idealised_anatomy};
+use crate::anatomy::Anatomy;
+use crate::heart::{FrameState, Parameter, Parameters};
+use crate::image::{PreprocessSettings, VentricleCodes, preprocess};
+use crate::phantom::{LABEL_CAVITY_LV, LABEL_WALL, ShortAxisStack, SyntheticCineSettings, synthetic_cine};
+use crate::study::RunContext;
+use crate::study::plan::{IdealisedLv, ModelAnatomy, PhantomPlan, Plan};
+
+/// What is known of a synthetic patient.
+pub(super) struct Truth {
+    /// True parameters.
+    pub(super) parameters: Parameters,
+    /// True volumes of the left ventricle at the frames of a clock of one beat (reference frame first and last), mL.
+    pub(super) volumes_lv_ml: Vec<f64>,
+    /// The true heart.
+    pub(super) anatomy: Arc<Anatomy>,
+    /// Its positions at those frames.
+    pub(super) frames: Vec<FrameState>,
+}
+
+/// Makes the synthetic patient of a plan.
+pub(super) fn patient(plan: &Plan, shape: &IdealisedLv, phantom: &PhantomPlan, context: &RunContext) -> Result<Patient, RunError> {
+    context.progress().stage("building the true heart", None);
+    let anatomy = Arc::new(idealised_anatomy(&plan.anatomy, shape)?);
+    let mut parameters = plan.parameters.clone();
+    for (&parameter, &value) in &phantom.truth {
+        parameters.set(parameter, value)?;
+    }
+    let period_s = parameters[Parameter::HeartPeriod];
+    let times_s: Vec<f64> =
+        (0..phantom.frames).map(|frame| shape.reference_time_s + period_s * frame as f64 / phantom.frames as f64).collect();
+    let clock = Clock::new(0, &times_s, period_s, plan.model.beats);
+    let model = heart_model(&plan.model, &anatomy, parameters.clone())?;
+    context.progress().stage("beating the true heart", Some(step_count(&clock, plan.model.step_s)));
+    let trajectory = beat(&model, &clock, &[], context)?;
+    if trajectory.stopped {
+        return Err(RunError::Stopped);
+    }
+
+    context.progress().stage("imaging the true heart", None);
+    let stack =
+        ShortAxisStack { voxel_mm: phantom.voxel_size_mm, slice_distance_mm: phantom.slice_thickness_mm, ..ShortAxisStack::default() };
+    let positions: Vec<_> = trajectory.frames[..phantom.frames].iter().map(|frame| frame.position_mm.clone()).collect();
+    let imaged = synthetic_cine(&anatomy, &positions, &times_s, period_s, &stack.grid(&anatomy)?, &imaging(phantom))?;
+
+    let mut warnings = Vec::new();
+    let codes = VentricleCodes { cavity: LABEL_CAVITY_LV, wall: LABEL_WALL };
+    let seen = match phantom.anatomy {
+        ModelAnatomy::Truth => Arc::clone(&anatomy),
+        ModelAnatomy::Labels => Arc::new(anatomy_from_labels(&plan.anatomy, &imaged.labels[0], &codes, &mut warnings)?),
+    };
+    let volumes_lv_ml = frame_volumes_lv_ml(&trajectory);
+    let end_systole = imaged.volumes_ml.iter().enumerate().min_by(|a, b| a.1[0].total_cmp(&b.1[0])).map_or(0, |(frame, _)| frame);
+    let images = PatientImages {
+        cine: preprocess(&imaged.cine, &PreprocessSettings::default())?,
+        reference_frame: 0,
+        slice_distance_mm: phantom.slice_thickness_mm,
+        validation: vec![(end_systole, imaged.labels[end_systole].clone(), LABEL_CAVITY_LV)],
+    };
+    let truth = Truth { parameters: parameters.clone(), volumes_lv_ml, anatomy, frames: trajectory.frames };
+    let model_parameters = plan.parameters.clone().with(Parameter::HeartPeriod, period_s)?;
+    Ok(Patient {
+        anatomy: seen,
+        parameters: model_parameters,
+        images: Some(images),
+        truth: Some(truth),
+        reference_s: shape.reference_time_s,
+        warnings,
+    })
+}
+
+fn imaging(phantom: &PhantomPlan) -> SyntheticCineSettings {
+    let default = SyntheticCineSettings::default();
+    SyntheticCineSettings {
+        wall_texture: phantom.texture,
+        wall_texture_length_mm: phantom.texture_length_mm,
+        noise: phantom.noise * default.blood,
+        bias: phantom.bias,
+        seed: phantom.seed,
+        ..default
+    }
+}
