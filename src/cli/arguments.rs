@@ -19,10 +19,24 @@ Exit codes: 0 done; 1 a run failed; 2 a study file or an argument is wrong; 130 
 
 #[derive(Debug, Subcommand)]
 pub(super) enum Command {
+    /// Run a study and write its results
+    Run(RunArguments),
     /// Say what a study would do, or what is wrong with its file
     Check(StudyArguments),
     /// List every parameter of the model: name, unit, default, range, meaning, source
     Parameters,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct RunArguments {
+    #[command(flatten)]
+    pub(super) study: StudyArguments,
+    /// Threads; all cores where absent. Results do not depend on it
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    pub(super) threads: Option<u16>,
+    /// Say nothing but warnings, errors and results
+    #[arg(short, long)]
+    pub(super) quiet: bool,
 }
 
 #[derive(Debug, Args)]

@@ -11,6 +11,8 @@ pub(super) enum Exit {
     Failed,
     /// A study file or an argument is wrong.
     BadInput,
+    /// Ctrl-C.
+    Interrupted,
 }
 
 impl From<Exit> for ExitCode {
@@ -19,6 +21,7 @@ impl From<Exit> for ExitCode {
             Exit::Done => 0,
             Exit::Failed => 1,
             Exit::BadInput => 2,
+            Exit::Interrupted => 130,
         })
     }
 }

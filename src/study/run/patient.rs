@@ -37,8 +37,6 @@ pub(super) struct PatientImages {
     pub(super) cine: CineSequence,
     /// The frame that the mesh was drawn on.
     pub(super) reference_frame: usize,
-    /// Distance of the original slices, mm.
-    pub(super) slice_distance_mm: f64,
     /// Labels that nothing was fitted to, with their frame and the code of the LV cavity.
     pub(super) validation: Vec<(usize, LabelMap, u8)>,
 }
@@ -113,13 +111,11 @@ fn read_images(
         Ok((labels.frame, read_label_map(&labels.path)?, to_code(labels.code_cavity_lv)))
     });
     let validation = validation.collect::<Result<_, RunError>>()?;
-    let slice_distance_mm = read.cine.grid().spacing_mm().z;
     let settings = PreprocessSettings {
         spacing_mm: images.isotropic_spacing_mm,
         quantile_low: images.quantile_low,
         quantile_high: images.quantile_high,
     };
-    Ok(PatientImages { cine: preprocess(&read.cine, &settings)?, reference_frame, slice_distance_mm, validation })
 }
 
 /// What a study says of every anatomy.

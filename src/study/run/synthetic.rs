@@ -61,7 +61,6 @@ pub(super) fn patient(plan: &Plan, shape: &IdealisedLv, phantom: &PhantomPlan, c
     let images = PatientImages {
         cine: preprocess(&imaged.cine, &PreprocessSettings::default())?,
         reference_frame: 0,
-        slice_distance_mm: phantom.slice_thickness_mm,
         validation: vec![(end_systole, imaged.labels[end_systole].clone(), LABEL_CAVITY_LV)],
     };
     let truth = Truth { parameters: parameters.clone(), volumes_lv_ml, anatomy, frames: trajectory.frames };
