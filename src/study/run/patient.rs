@@ -116,6 +116,7 @@ fn read_images(
         quantile_low: images.quantile_low,
         quantile_high: images.quantile_high,
     };
+    Ok(PatientImages { cine: preprocess(&read.cine, &settings)?, reference_frame, validation })
 }
 
 /// What a study says of every anatomy.
