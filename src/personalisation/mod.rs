@@ -10,7 +10,9 @@ mod parameters;
 mod problem;
 mod profile;
 mod residuals;
+mod simplex;
 mod start_values;
+mod tables;
 mod tangents;
 mod uncertainty;
 
@@ -29,7 +31,9 @@ pub use profile::{ProfilePoint, RISE_95, crossing_95, profile};
 pub use residuals::{
     BoundaryResidual, CalibrationFrame, CalibrationTrajectory, Loss, PriorResidual, StackedResidual, SurfaceTarget, VolumeCurveResidual,
 };
+pub use simplex::{SimplexSearch, search_simplex};
 pub use start_values::{ElectricalTiming, PilotFit, VolumeTiming, conduction_velocity_mm_per_s, contraction_peak_for_ejection_fraction};
+pub use tables::{DataSensitivity, Table, data_sensitivities, iteration_table};
 pub use tangents::{DifferenceScheme, FiniteDifferenceModel, LinearTrajectory};
 pub use uncertainty::{BoundState, NoiseScale, ParameterEstimate, Uncertainty, estimates};
 

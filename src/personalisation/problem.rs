@@ -181,6 +181,14 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
         &self.upper
     }
 
+    /// Natural size of a step a coordinate: the prior's standard deviation, else a quarter of the box, else one.
+    pub fn scales(&self) -> DVector<f64> {
+        DVector::from_fn(self.dimension(), |index, _| {
+            let candidates = [self.prior.sd()[index], (self.upper[index] - self.lower[index]) / 4.0];
+            candidates.into_iter().find(|scale| scale.is_finite() && *scale > 0.0).unwrap_or(1.0)
+        })
+    }
+
     /// The prior.
     pub fn prior(&self) -> &PriorResidual {
         &self.prior

@@ -57,18 +57,9 @@ struct Region {
     room: DVector<f64>,
 }
 
-/// Scale a coordinate: the prior's standard deviation, else a quarter of the box, else one.
-fn scales<M: TangentModel>(problem: &CalibrationProblem<'_, M>) -> DVector<f64> {
-    DVector::from_fn(problem.dimension(), |index, _| {
-        let width = problem.upper()[index] - problem.lower()[index];
-        let candidates = [problem.prior().sd()[index], width / 4.0];
-        candidates.into_iter().find(|scale| scale.is_finite() && *scale > 0.0).unwrap_or(1.0)
-    })
-}
-
 /// ‖clamp(θ − S²g) − θ‖ in scaled coordinates: zero at a minimum of the box.
 pub(super) fn projected_gradient<M: TangentModel>(problem: &CalibrationProblem<'_, M>, at: &Linearisation) -> f64 {
-    let scales = scales(problem);
+    let scales = problem.scales();
     let descent = &at.coordinates - at.gradient().component_mul(&scales).component_mul(&scales);
     (problem.clamp(&descent) - &at.coordinates).component_div(&scales).norm()
 }
@@ -121,7 +112,7 @@ pub(super) fn propose<M: TangentModel>(
 
 impl Region {
     fn around<M: TangentModel>(problem: &CalibrationProblem<'_, M>, theta: &DVector<f64>, shape: TrustShape, radius: f64) -> Self {
-        let scales = scales(problem);
+        let scales = problem.scales();
         let count = problem.constraints().len();
         let room = -DVector::from_iterator(count, problem.constraints().map(|constraint| constraint.value(theta)));
         let mut gradients = DMatrix::zeros(count, scales.len());

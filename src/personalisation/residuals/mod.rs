@@ -10,6 +10,8 @@ pub use loss::Loss;
 pub use trajectory::{CalibrationFrame, CalibrationTrajectory};
 pub use volume::VolumeCurveResidual;
 
+use std::ops::Range;
+
 use nalgebra::DVector;
 
 use super::{PersonalisationError, Residual};
@@ -33,6 +35,16 @@ impl<'a, T> StackedResidual<'a, T> {
         self
     }
 
+    /// Name and rows of every part.
+    pub fn parts(&self) -> Vec<(&'static str, Range<usize>)> {
+        let mut start = 0;
+        let mut range = |count: usize| {
+            start += count;
+            start - count..start
+        };
+        self.parts.iter().map(|(name, part)| (*name, range(part.row_count()))).collect()
+    }
+
     /// Root mean square of the rows of every part, by name (1 means: as good as the stated standard deviations).
     ///
     /// # Errors
@@ -42,15 +54,8 @@ impl<'a, T> StackedResidual<'a, T> {
         if rows.len() != expected {
             return Err(PersonalisationError::Shape { what: "residual rows", found: rows.len(), expected });
         }
-        let mut start = 0;
-        let mut parts = Vec::new();
-        for (name, part) in &self.parts {
-            let count = part.row_count();
-            let rms = crate::numerics::root_mean_square(&rows.as_slice()[start..start + count]);
-            parts.push((*name, rms));
-            start += count;
-        }
-        Ok(parts)
+        let rms = |range: Range<usize>| crate::numerics::root_mean_square(&rows.as_slice()[range]);
+        Ok(self.parts().into_iter().map(|(name, range)| (name, rms(range))).collect())
     }
 
     /// Calls `visit` with every part and its own rows.

@@ -72,11 +72,8 @@ impl Uncertainty {
             NoiseScale::AsStated => 1.0,
             NoiseScale::FromResiduals => residual_scale(at, &weights, free.len())?,
         };
-        let scale = |index: usize| {
-            let width = problem.upper()[index] - problem.lower()[index];
-            [problem.prior().sd()[index], width / 4.0].into_iter().find(|scale| scale.is_finite() && *scale > 0.0).unwrap_or(1.0)
-        };
-        let scales = DVector::from_iterator(free.len(), free.iter().map(|&index| scale(index)));
+        let all_scales = problem.scales();
+        let scales = DVector::from_iterator(free.len(), free.iter().map(|&index| all_scales[index]));
         let whitened = DMatrix::from_fn(at.rows.len(), free.len(), |row, column| {
             weights[row].sqrt() * at.jacobian[(row, free[column])] * scales[column] / noise_scale
         });
