@@ -1,12 +1,14 @@
 //! The heart as the calibration sees it: simulated beats at the frames, residuals against tracked volumes and boundaries.
 
+use std::ops::ControlFlow;
+
 use nalgebra::DVector;
 
 use super::clock::Clock;
 use super::error::RunError;
 use super::track::Tracked;
 use crate::anatomy::{Anatomy, Ventricle};
-use crate::heart::{HeartModel, SimulationPlan, StepError, Trajectory, simulate};
+use crate::heart::{HeartModel, Parameters, SimulationPlan, StepError, Trajectory, simulate};
 use crate::mesh::SurfaceTag;
 use crate::personalisation::{
     BoundaryResidual, CalibrationFrame, CalibrationTrajectory, Loss, ParameterSpace, PersonalisationError, StackedResidual, SurfaceTarget,
@@ -38,9 +40,19 @@ pub(super) fn simulate_at(
     coordinates: &DVector<f64>,
     is_stopped: &(dyn Fn() -> bool + Sync),
 ) -> Result<Trajectory, SimulationFailure> {
-    let model = base.with_parameters(space.to_parameters(coordinates)?)?;
+    simulate_parameters(base, space.to_parameters(coordinates)?, clock, is_stopped)
+}
+
+/// The free heart with other parameters, at the frames of a clock.
+pub(super) fn simulate_parameters(
+    base: &HeartModel,
+    parameters: Parameters,
+    clock: &Clock,
+    is_stopped: &(dyn Fn() -> bool + Sync),
+) -> Result<Trajectory, SimulationFailure> {
+    let model = base.with_parameters(parameters)?;
     let plan = SimulationPlan { start_time_s: clock.start_s, end_time_s: clock.end_s, frame_times_s: clock.times_s.clone() };
-    let mut observer = |_: &_, _: &_| if is_stopped() { std::ops::ControlFlow::Break(()) } else { std::ops::ControlFlow::Continue(()) };
+    let mut observer = |_: &_, _: &_| if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
     let trajectory = simulate(&model, &plan, &[], &mut observer)?;
     if trajectory.stopped { Err(SimulationFailure::Stopped) } else { Ok(trajectory) }
 }

@@ -9,6 +9,7 @@ mod patient;
 mod personalise;
 mod pictures;
 mod simulate;
+mod start;
 mod synthetic;
 mod track;
 mod track_only;

@@ -1,9 +1,10 @@
 //! `kind = "personalise"`: track the images, take the volume curve and the boundaries, find the parameters of the free heart, rescore it
 //! without image forces, say how sure that is.
 
+use std::sync::Arc;
 use std::time::Instant;
 
-use nalgebra::DVector;
+use nalgebra::{DVector, Vector3};
 use serde::Serialize;
 
 use super::calibration::{calibration_trajectory, residual, simulate_at};
@@ -13,13 +14,14 @@ use super::forward::{beat, frame_volumes_lv_ml, heart_model, observables, step_c
 use super::leave::{BeatSummary, FrameRow, Summary, frame_rows, write_base_motion, write_beat, write_series};
 use super::patient::{Patient, PatientImages};
 use super::pictures::{self, NamedMotion};
-use super::track::{Tracked, held_out_rms_mm, surface_rms_mm, track_patient, validate};
-use crate::heart::{HeartModel, Parameter, Parameters, Trajectory};
+use super::start::start_space;
+use super::track::{GAIN_FACTORS, Tracked, held_out_rms_mm, surface_rms_mm, track_patient, validate};
+use crate::heart::{FrameState, HeartModel, Parameter, Parameters, Trajectory};
 use crate::mesh::{MeshQuality, SurfaceTag};
 use crate::numerics::root_mean_square;
 use crate::personalisation::{
     Calibration, CalibrationOutcome, CalibrationProblem, CalibrationTrajectory, DifferenceScheme, FiniteDifferenceModel, FreeParameter,
-    GaussNewtonSettings, ParameterSpace, StackedResidual, calibrate,
+    GainEvaluation, GaussNewtonSettings, NoiseScale, ParameterEstimate, ParameterSpace, StackedResidual, Uncertainty, calibrate, estimates,
 };
 use crate::report::figures::{CostHistory, Curve, Look, ParameterInterval, cost_over_iterations, parameter_intervals};
 use crate::report::{IterationRow, ParameterRow, write_csv, write_iterations, write_json};
@@ -33,6 +35,7 @@ const DIFFERENCE_STEP: f64 = 2e-3;
 struct Personalised {
     space: ParameterSpace,
     calibration: Calibration<CalibrationTrajectory>,
+    uncertainty: Option<Uncertainty>,
     model: HeartModel,
     fitted: Trajectory,
     initial: Trajectory,
@@ -64,15 +67,15 @@ fn personalise(
     let measured_ml = frame_volumes_lv_ml(&tracked.motion.trajectory);
     let residual = residual(wanted, &patient.anatomy, &measured_ml, tracked)?;
     let base = heart_model(&plan.model, &patient.anatomy, patient.parameters.clone())?;
-    let space = start_space(wanted, &base)?;
+    let space = start_space(wanted, &base, clock, &measured_ml, context)?;
 
-    let calibration = search(wanted, &base, &space, clock, &residual, context)?;
+    let (calibration, uncertainty) = search(wanted, &base, &space, clock, &residual, context)?;
 
     context.progress().stage("rescoring without image forces", Some(step_count(clock, plan.model.step_s)));
     let model = base.with_parameters(space.to_parameters(&calibration.coordinates)?)?;
     let fitted = beat(&model, clock, &[], context)?;
     let initial = beat(&base.with_parameters(space.to_parameters(&space.initial())?)?, clock, &[], context)?;
-    Ok(Personalised { space, calibration, model, fitted, initial, measured_ml })
+    Ok(Personalised { space, calibration, uncertainty, model, fitted, initial, measured_ml })
 }
 
 /// Gauss–Newton from the start of `space`.
@@ -83,7 +86,7 @@ fn search(
     clock: &Clock,
     residual: &StackedResidual<CalibrationTrajectory>,
     context: &RunContext,
-) -> Result<Calibration<CalibrationTrajectory>, RunError> {
+) -> Result<(Calibration<CalibrationTrajectory>, Option<Uncertainty>), RunError> {
     let is_stopped = || context.is_stopped();
     let simulate = |coordinates: &DVector<f64>| {
         simulate_at(base, space, clock, coordinates, &is_stopped).map(|trajectory| calibration_trajectory(&trajectory))
@@ -97,26 +100,15 @@ fn search(
         ..GaussNewtonSettings::default()
     };
     context.progress().stage("finding the parameters", Some(wanted.max_iterations as u64));
-    Ok(calibrate(&problem, &space.initial(), settings, &mut |record| context.progress().step(record.iteration))?)
+    let calibration = calibrate(&problem, &space.initial(), settings, &mut |record| context.progress().step(record.iteration))?;
+    let uncertainty = calibration.linearisation.as_ref().map(|at| Uncertainty::new(&problem, at, NoiseScale::FromResiduals)).transpose()?;
+    Ok((calibration, uncertainty))
 }
 
 /// A step that is relative in a logarithm, and a small part of the bounds otherwise.
 fn difference_step(free: &FreeParameter) -> f64 {
     let width = free.transform.to_coordinate(free.upper) - free.transform.to_coordinate(free.lower);
     DIFFERENCE_STEP * width.min(1.0)
-}
-
-/// The parameters that the study sets free, with their start values.
-fn start_space(wanted: &PersonalisationPlan, base: &HeartModel) -> Result<ParameterSpace, RunError> {
-    let free = wanted.parameters.iter().map(|free| {
-        let start = free.start.unwrap_or(base.parameters()[free.parameter]);
-        let mut entry = FreeParameter::new(free.parameter).between(free.lower, free.upper).starting_at(start.clamp(free.lower, free.upper));
-        let mean = free.prior_mean.clamp(free.lower, free.upper);
-        let slope = entry.transform.slope(mean);
-        entry = entry.with_prior(mean, free.prior_sd.map_or(f64::INFINITY, |sd| sd / slope));
-        entry
-    });
-    Ok(ParameterSpace::new(base.parameters().clone(), free.collect())?)
 }
 
 /// `summary.json` of a personalisation, beside the beat.
@@ -131,6 +123,7 @@ struct Details {
     calibration_status: &'static str,
     iterations: usize,
     simulations: u64,
+    verdict: Vec<String>,
     tracking: TrackingSummary,
     validation: Vec<ValidationSummary>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -147,6 +140,8 @@ pub(super) struct TrackingSummary {
     image_gain_endocardium_lv_kpa_per_mm: f64,
     image_gain_epicardium_kpa_per_mm: f64,
     image_gain_base_kpa_per_mm: f64,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    gain_factors_tried: Vec<GainEvaluation>,
 }
 
 /// A motion against labels that nothing was fitted to.
@@ -184,6 +179,10 @@ struct Recovery {
     within_tolerance: bool,
     volume_tracked_rms_ml: f64,
     volume_model_rms_ml: f64,
+    /// Where the model has the true mesh.
+    position_tracked_rmse_mm: Option<f64>,
+    position_model_rmse_mm: Option<f64>,
+    position_no_motion_rmse_mm: Option<f64>,
     parameters: Vec<RecoveredParameter>,
 }
 
@@ -204,6 +203,7 @@ pub(super) fn tracking_summary(tracked: &Tracked) -> TrackingSummary {
         image_gain_endocardium_lv_kpa_per_mm: tracked.parameters[Parameter::ImageGainEndocardiumLv],
         image_gain_epicardium_kpa_per_mm: tracked.parameters[Parameter::ImageGainEpicardium],
         image_gain_base_kpa_per_mm: tracked.parameters[Parameter::ImageGainBase],
+        gain_factors_tried: tracked.gain_choice.iter().flat_map(|choice| choice.evaluations.iter().copied()).collect(),
     }
 }
 
@@ -225,16 +225,31 @@ fn difference_rms(a: &[f64], b: &[f64]) -> f64 {
     root_mean_square(&a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<_>>())
 }
 
-fn recovery(plan: &Plan, patient: &Patient, tracked: &Tracked, found: &Personalised) -> Option<Recovery> {
+fn recovery<'a>(plan: &Plan, patient: &'a Patient, tracked: &'a Tracked, found: &'a Personalised) -> Option<Recovery> {
     let (truth, Some(ImageSource::Phantom(phantom))) = (patient.truth.as_ref()?, &plan.images) else { return None };
     let parameters: Vec<_> = found.space.free().map(|free| recovered(free.parameter, &truth.parameters, found, phantom)).collect();
     let tracked_ml = frame_volumes_lv_ml(&tracked.motion.trajectory);
+    let same_mesh = Arc::ptr_eq(&truth.anatomy, &patient.anatomy);
+    let rest_mm = patient.anatomy.mesh.vertices_mm();
+    let rmse = |position_of: &dyn Fn(usize) -> Option<&'a [Vector3<f64>]>| same_mesh.then(|| position_rmse_mm(&truth.frames, position_of));
     Some(Recovery {
         within_tolerance: parameters.iter().all(|one| one.tolerance.is_none_or(|tolerance| one.error.abs() <= tolerance)),
         volume_tracked_rms_ml: difference_rms(&tracked_ml, &truth.volumes_lv_ml),
         volume_model_rms_ml: difference_rms(&frame_volumes_lv_ml(&found.fitted), &truth.volumes_lv_ml),
+        position_tracked_rmse_mm: rmse(&|frame| Some(&tracked.motion.trajectory.frames.get(frame)?.position_mm)),
+        position_model_rmse_mm: rmse(&|frame| Some(&found.fitted.frames.get(frame)?.position_mm)),
+        position_no_motion_rmse_mm: rmse(&|_| Some(rest_mm)),
         parameters,
     })
+}
+
+/// Root mean square distance of all vertices over all frames.
+fn position_rmse_mm<'a>(truth: &[FrameState], position_of: &dyn Fn(usize) -> Option<&'a [Vector3<f64>]>) -> f64 {
+    let distances = truth.iter().enumerate().flat_map(|(frame, state)| {
+        let found = position_of(frame).unwrap_or_default();
+        state.position_mm.iter().zip(found).map(|(a, b)| (a - b).norm())
+    });
+    root_mean_square(&distances.collect::<Vec<_>>())
 }
 
 fn recovered(parameter: Parameter, truth: &Parameters, found: &Personalised, phantom: &PhantomPlan) -> RecoveredParameter {
@@ -243,27 +258,46 @@ fn recovered(parameter: Parameter, truth: &Parameters, found: &Personalised, pha
     RecoveredParameter { parameter: parameter.spec().name, truth, value, error: value - truth, tolerance }
 }
 
-fn parameter_rows(found: &Personalised) -> Vec<ParameterRow> {
-    let values = found.space.to_values(&found.calibration.coordinates);
-    let row = |(index, free): (usize, &FreeParameter)| {
-        let spec = free.parameter.spec();
-        let at_bound =
-            found.calibration.records.last().is_some_and(|last| last.active_lower.contains(&index) || last.active_upper.contains(&index));
-        ParameterRow {
-            parameter: spec.name.into(),
-            unit: spec.unit.into(),
-            region: free.region.clone(),
-            initial: free.initial,
-            value: values[index],
-            lower: free.lower,
-            upper: free.upper,
-            sd: None,
-            interval_low: None,
-            interval_high: None,
-            at_bound,
-        }
+/// The parameters found, then the gains that the images were tracked with.
+fn parameter_rows(found: &Personalised, tracked: &Tracked, written: &Parameters) -> Vec<ParameterRow> {
+    let estimates = estimates(&found.space, &found.calibration.coordinates, found.uncertainty.as_ref());
+    // A search that ends on a bound may stop short of it by rounding.
+    let near = |value: f64, bound: f64, one: &ParameterEstimate| (value - bound).abs() <= 1e-6 * (one.upper - one.lower);
+    let row = |one: ParameterEstimate| ParameterRow {
+        at_bound: near(one.value, one.lower, &one) || near(one.value, one.upper, &one),
+        parameter: one.parameter.into(),
+        unit: one.unit.into(),
+        region: one.region,
+        initial: one.initial,
+        value: one.value,
+        lower: one.lower,
+        upper: one.upper,
+        sd: one.sd,
+        interval_low: one.interval_low,
+        interval_high: one.interval_high,
     };
-    found.space.free().enumerate().map(row).collect()
+    let mut rows: Vec<ParameterRow> = estimates.into_iter().map(row).collect();
+    rows.extend(tracked.gain_choice.iter().flat_map(|choice| gain_rows(choice.at_edge, tracked, written)));
+    rows
+}
+
+/// The gains chosen on held-out boundary points.
+fn gain_rows(at_bound: bool, tracked: &Tracked, written: &Parameters) -> Vec<ParameterRow> {
+    let gains = [(Parameter::ImageGainEndocardiumLv, "endocardium_lv"), (Parameter::ImageGainEpicardium, "epicardium")];
+    let row = |(gain, region): (Parameter, &str)| ParameterRow {
+        parameter: gain.spec().name.into(),
+        unit: gain.spec().unit.into(),
+        region: region.into(),
+        initial: written[gain],
+        value: tracked.parameters[gain],
+        lower: written[gain] * GAIN_FACTORS.lower,
+        upper: written[gain] * GAIN_FACTORS.upper,
+        sd: None,
+        interval_low: None,
+        interval_high: None,
+        at_bound,
+    };
+    gains.into_iter().map(row).collect()
 }
 
 fn status_of(outcome: &CalibrationOutcome) -> Status {
@@ -294,7 +328,7 @@ fn leave(
         write_series(folder, "tracked", &found.model, &tracked.motion.trajectory)?;
     }
     write_base_motion(folder, clock, &found.model, &tracked.motion.trajectory)?;
-    let parameters = parameter_rows(found);
+    let parameters = parameter_rows(found, tracked, &patient.parameters);
     write_csv(&folder.join("parameters.csv"), &parameters)?;
     write_iterations(&folder.join("iterations.csv"), &found.space.names(), &iteration_rows(found))?;
     let recovery = recovery(plan, patient, tracked, found);
@@ -312,6 +346,7 @@ fn leave(
         calibration_status: found.calibration.outcome.status(),
         iterations: found.calibration.records.len().saturating_sub(1),
         simulations: found.calibration.evaluation_count + found.calibration.linearisation_count * found.space.dimension() as u64,
+        verdict: found.uncertainty.as_ref().map(|uncertainty| uncertainty.verdict(&found.space.names())).unwrap_or_default(),
         tracking: tracking_summary(tracked),
         validation: validation_summary(patient, images, tracked),
         recovery,
@@ -361,6 +396,7 @@ fn headlines(details: &Details, parameters: &[ParameterRow]) -> Vec<String> {
         let bound = if row.at_bound { " (on its bound)" } else { "" };
         format!("{} = {:.4} {}, from {:.4}{bound}", row.parameter, row.value, row.unit, row.initial)
     }));
+    lines.extend(details.verdict.iter().cloned());
     lines.extend(details.validation.iter().map(ValidationSummary::headline));
     lines.extend(details.recovery.iter().map(|recovery| {
         let verdict = if recovery.within_tolerance { "within" } else { "NOT within" };
@@ -414,7 +450,7 @@ fn draw(
     pictures::montage(plan, patient, images, clock, &motions, "slices.png", "Short axis through the beat".into())?;
     let cost = found.calibration.records.iter().map(|record| record.cost).collect();
     cost_over_iterations(&folder.join("cost.png"), &CostHistory { title: "Cost of the calibration".into(), cost })?;
-    let intervals: Vec<_> = parameter_rows(found).into_iter().map(|row| interval(row, recovery)).collect();
+    let intervals: Vec<_> = parameter_rows(found, tracked, &patient.parameters).into_iter().map(|row| interval(row, recovery)).collect();
     Ok(parameter_intervals(&folder.join("parameters.png"), "Parameters found", &intervals)?)
 }
 
