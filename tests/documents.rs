@@ -1,0 +1,88 @@
+//! What the documents name exists: files and tests of `docs/equations.md`, references, study files of the README.
+
+#![allow(clippy::unwrap_used, reason = "a test may stop at the first surprise")]
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+fn read(path: impl AsRef<Path>) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(path);
+    std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+fn files_below(folder: &str, extension: &str) -> Vec<PathBuf> {
+    let mut folders = vec![Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)];
+    let mut files = Vec::new();
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|found| found == extension) {
+                files.push(path);
+            }
+        }
+    }
+    files
+}
+
+/// What stands between backticks.
+fn quoted(text: &str) -> Vec<&str> {
+    text.split('`').skip(1).step_by(2).collect()
+}
+
+#[test]
+fn every_equation_has_its_file_and_its_test() {
+    let equations = read("docs/equations.md");
+    let rows: Vec<&str> = equations.lines().filter(|line| line.starts_with("| ") && line.contains("`src/")).collect();
+    assert!(rows.len() >= 10, "{} rows", rows.len());
+    for row in rows {
+        let cells: Vec<&str> = row.split(" | ").collect();
+        for file in quoted(cells[2]) {
+            assert!(!read(file).is_empty());
+        }
+        let mut source = String::new();
+        let mut tests = 0;
+        for word in quoted(cells[3]) {
+            if word.ends_with(".rs") {
+                source = read(word);
+            } else {
+                assert!(source.contains(&format!("fn {word}(")), "the test {word} is not where docs/equations.md has it");
+                tests += 1;
+            }
+        }
+        assert!(tests > 0, "no test in: {row}");
+    }
+}
+
+/// `[Name1234]` in a text.
+fn citations(text: &str) -> BTreeSet<String> {
+    let is_key = |key: &str| {
+        let (name, year) = key.split_at(key.len().saturating_sub(4));
+        name.chars().next().is_some_and(char::is_uppercase) && name.chars().all(char::is_alphabetic) && year.chars().all(|c| c.is_ascii_digit())
+    };
+    let keys = text.split('[').skip(1).filter_map(|rest| rest.split_once(']')).map(|(key, _)| key);
+    keys.filter(|key| key.is_ascii() && key.len() > 5 && is_key(key)).map(str::to_string).collect()
+}
+
+#[test]
+fn every_citation_has_its_reference() {
+    let references = read("docs/references.bib");
+    let texts = files_below("src", "rs").into_iter().chain(files_below("tests", "rs")).chain(files_below("docs", "md"));
+    for file in texts.chain([PathBuf::from("README.md")]) {
+        for key in citations(&read(&file)).iter().filter(|key| *key != "Name1234") {
+            assert!(references.contains(&format!("{{{key},")), "[{key}], cited in {}, is not in docs/references.bib", file.display());
+        }
+    }
+}
+
+#[test]
+fn files_that_the_readme_names_exist() {
+    let readme = read("README.md");
+    let named = readme.split(|c: char| c.is_whitespace() || "()`,;".contains(c));
+    let files: BTreeSet<&str> = named.filter(|word| ["studies/", "docs/", "src/", "results/"].iter().any(|root| word.starts_with(root))).collect();
+    assert!(files.len() > 3, "{files:?}");
+    for file in files {
+        assert!(Path::new(env!("CARGO_MANIFEST_DIR")).join(file.trim_end_matches(['.', ':'])).exists(), "{file}, named in README.md, does not exist");
+    }
+}
