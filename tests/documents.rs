@@ -59,7 +59,9 @@ fn every_equation_has_its_file_and_its_test() {
 fn citations(text: &str) -> BTreeSet<String> {
     let is_key = |key: &str| {
         let (name, year) = key.split_at(key.len().saturating_sub(4));
-        name.chars().next().is_some_and(char::is_uppercase) && name.chars().all(char::is_alphabetic) && year.chars().all(|c| c.is_ascii_digit())
+        name.chars().next().is_some_and(char::is_uppercase)
+            && name.chars().all(char::is_alphabetic)
+            && year.chars().all(|c| c.is_ascii_digit())
     };
     let keys = text.split('[').skip(1).filter_map(|rest| rest.split_once(']')).map(|(key, _)| key);
     keys.filter(|key| key.is_ascii() && key.len() > 5 && is_key(key)).map(str::to_string).collect()
@@ -80,9 +82,13 @@ fn every_citation_has_its_reference() {
 fn files_that_the_readme_names_exist() {
     let readme = read("README.md");
     let named = readme.split(|c: char| c.is_whitespace() || "()`,;".contains(c));
-    let files: BTreeSet<&str> = named.filter(|word| ["studies/", "docs/", "src/", "results/"].iter().any(|root| word.starts_with(root))).collect();
+    let files: BTreeSet<&str> =
+        named.filter(|word| ["studies/", "docs/", "src/", "results/"].iter().any(|root| word.starts_with(root))).collect();
     assert!(files.len() > 3, "{files:?}");
     for file in files {
-        assert!(Path::new(env!("CARGO_MANIFEST_DIR")).join(file.trim_end_matches(['.', ':'])).exists(), "{file}, named in README.md, does not exist");
+        assert!(
+            Path::new(env!("CARGO_MANIFEST_DIR")).join(file.trim_end_matches(['.', ':'])).exists(),
+            "{file}, named in README.md, does not exist"
+        );
     }
 }

@@ -93,7 +93,7 @@ fn model(plan: &Plan) -> String {
         OnsetSite::Sites => format!("{} site(s)", plan.model.onset.sites.len()),
         place => place.word().to_string(),
     };
-    format!("{} kinematics, step {} s, {} beat(s), onset {onset}", plan.model.kinematics.word(), plan.model.step_s, plan.model.beats)
+    format!("step {} s, {} beat(s), onset {onset}", plan.model.step_s, plan.model.beats)
 }
 
 fn free_parameter(free: &FreeParameter) -> String {

@@ -26,6 +26,7 @@ pub trait Choice: Copy + PartialEq + 'static {
 pub(super) struct Reader<'a> {
     config: &'a Config,
     problems: RefCell<Vec<Problem>>,
+    known: RefCell<BTreeSet<String>>,
 }
 
 /// One table of a study file; every key that is asked for is a key that may be written.
@@ -38,7 +39,7 @@ pub(super) struct TableReader<'a> {
 
 impl<'a> Reader<'a> {
     pub(super) fn new(config: &'a Config) -> Self {
-        Self { config, problems: RefCell::default() }
+        Self { config, problems: RefCell::default(), known: RefCell::default() }
     }
 
     /// The top of the file.
@@ -49,6 +50,12 @@ impl<'a> Reader<'a> {
     /// All problems found so far.
     pub(super) fn into_problems(self) -> Vec<Problem> {
         self.problems.into_inner()
+    }
+
+    /// Full names of all keys that may be written, elements of lists without their numbers.
+    #[cfg(test)]
+    pub(super) fn known_keys(&self) -> BTreeSet<String> {
+        self.known.borrow().clone()
     }
 
     fn table(&'a self, path: String, table: Option<&'a toml::Table>) -> TableReader<'a> {
@@ -244,8 +251,11 @@ impl<'a> TableReader<'a> {
 
     /// Ends the table: whatever is written and was not asked for is an error.
     pub(super) fn close(self) {
-        let Some(table) = self.table else { return };
         let asked = self.asked.borrow();
+        let without_number = self.path.split_once('[').map_or(self.path.as_str(), |(path, _)| path);
+        let full = |key: &&str| if without_number.is_empty() { key.to_string() } else { format!("{without_number}.{key}") };
+        self.reader.known.borrow_mut().extend(asked.iter().map(full));
+        let Some(table) = self.table else { return };
         for key in table.keys().filter(|key| !asked.contains(key.as_str())) {
             let remedy = match nearest(key, &asked) {
                 Some(near) => format!("did you mean `{near}`?"),

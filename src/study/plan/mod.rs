@@ -13,9 +13,9 @@ use std::path::PathBuf;
 
 pub use anatomy::{AnatomyPlan, AnatomySource, FibrePlan, IdealisedLv, LabelCodes};
 pub use images::{ImageSource, ImagesPlan, ReferenceLabels};
-pub use model::{Kinematics, ModelPlan, OnsetPlan, OnsetSite};
+pub use model::{ModelPlan, OnsetPlan, OnsetSite};
 pub use output::OutputPlan;
-pub use personalisation::{FreeParameter, PersonalisationPlan, ScopeOfParameter, VolumeCurveSource};
+pub use personalisation::{FreeParameter, PersonalisationPlan};
 pub use phantom::{ModelAnatomy, PhantomPlan};
 pub use tracking::{BaseMode, GainChoice, TrackingPlan};
 

@@ -1,4 +1,4 @@
-//! `[electrophysiology]` and `[mechanics]` beyond the parameters: onset, kinematics, time step and beats.
+//! `[electrophysiology]` and `[mechanics]` beyond the parameters: onset, time step and beats.
 
 use std::collections::BTreeSet;
 
@@ -7,14 +7,6 @@ use nalgebra::Vector3;
 use super::words;
 use crate::heart::{Parameter, Parameters, Section};
 use crate::study::reader::TableReader;
-
-words! {
-    /// How strains follow from displacements.
-    Kinematics {
-        /// Linear strains, [Billet2009] §2.
-        Linear = "linear",
-    }
-}
 
 words! {
     /// Where the first depolarisation takes place, at `onset_time_s`.
@@ -42,8 +34,6 @@ pub struct OnsetPlan {
 pub struct ModelPlan {
     /// Onset of depolarisation.
     pub onset: OnsetPlan,
-    /// `mechanics.kinematics`.
-    pub kinematics: Kinematics,
     /// `mechanics.step_s`: time step.
     pub step_s: f64,
     /// `mechanics.beats`: beats simulated from the time of the anatomy; results are of the last one.
@@ -54,12 +44,7 @@ pub(super) fn read(root: &TableReader, parameters: &mut Parameters, written: &mu
     let onset = read_onset(root.table(Section::Electrophysiology.key()), parameters, written);
     let mechanics = root.table(Section::Mechanics.key());
     mechanics.parameters(Section::Mechanics, parameters, written);
-    let plan = ModelPlan {
-        onset,
-        kinematics: mechanics.choice("kinematics", Kinematics::Linear),
-        step_s: mechanics.number("step_s", 1e-5..=0.05, 0.005),
-        beats: mechanics.count("beats", 1..=1000, 1),
-    };
+    let plan = ModelPlan { onset, step_s: mechanics.number("step_s", 1e-5..=0.05, 0.005), beats: mechanics.count("beats", 1..=1000, 1) };
     mechanics.close();
     plan
 }

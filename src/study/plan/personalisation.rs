@@ -1,41 +1,18 @@
 //! `[personalisation]`: which parameters are free, within what, and what they are fitted to.
 
-use super::words;
 use crate::heart::{Parameter, Parameters};
 use crate::study::reader::TableReader;
-
-words! {
-    /// Where the volume curve that is fitted comes from.
-    VolumeCurveSource {
-        /// The tracked motion.
-        Tracked = "tracked",
-        /// The images, by their blood pool.
-        Images = "images",
-    }
-}
-
-words! {
-    /// Which part of the heart a free parameter holds for.
-    ScopeOfParameter {
-        /// The whole heart.
-        Global = "global",
-        /// Each AHA segment on its own.
-        AhaSegments = "aha_segments",
-    }
-}
 
 /// A parameter to be found.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FreeParameter {
     /// `name`.
     pub parameter: Parameter,
-    /// `scope`.
-    pub scope: ScopeOfParameter,
     /// `lower`: smallest value; the physical one where absent.
     pub lower: f64,
     /// `upper`: largest value; the physical one where absent.
     pub upper: f64,
-    /// `start`: start value; found from the data, or else the model's value, where absent.
+    /// `start`: start value; the model's value where absent.
     pub start: Option<f64>,
     /// `prior_mean`: centre of the prior; the model's value where absent.
     pub prior_mean: f64,
@@ -48,8 +25,6 @@ pub struct FreeParameter {
 pub struct PersonalisationPlan {
     /// `[[personalisation.parameter]]`.
     pub parameters: Vec<FreeParameter>,
-    /// `volume_curve`.
-    pub volume_curve: VolumeCurveSource,
     /// `sigma_volume_ml`: standard deviation of the measured volumes.
     pub sigma_volume_ml: f64,
     /// `sigma_boundary_mm`: standard deviation of the boundary points.
@@ -64,7 +39,6 @@ pub(super) fn read(table: TableReader, parameters: &Parameters) -> Option<Person
     let free: Vec<_> = table.tables("parameter").into_iter().filter_map(|table| read_parameter(table, parameters)).collect();
     let plan = table.is_written().then(|| PersonalisationPlan {
         parameters: free,
-        volume_curve: table.choice("volume_curve", VolumeCurveSource::Tracked),
         sigma_volume_ml: table.number("sigma_volume_ml", 0.01..=100.0, 3.0),
         sigma_boundary_mm: table.number("sigma_boundary_mm", 0.01..=50.0, 1.5),
         max_iterations: table.count("max_iterations", 1..=1000, 12),
@@ -105,7 +79,6 @@ fn read_parameter(table: TableReader, parameters: &Parameters) -> Option<FreePar
     let model = parameter.map_or(lower, |p| parameters[p]);
     let free = FreeParameter {
         parameter: parameter.unwrap_or(Parameter::ALL[0]),
-        scope: table.choice("scope", ScopeOfParameter::Global),
         lower,
         upper,
         start: table.optional_number("start", inside),

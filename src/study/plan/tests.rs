@@ -144,6 +144,26 @@ fn the_same_parameter_is_not_freed_twice() {
     assert!(plan(&twice, &[]).unwrap_err().to_string().contains("stands twice"));
 }
 
+/// A study with every list of tables written, so that their keys are asked for.
+const LISTS: &str = "[[electrophysiology.site]]\n[[images.validation]]\n[[personalisation.parameter]]\n[phantom]\n";
+
+#[test]
+fn every_key_is_documented_and_every_documented_key_exists() {
+    let config = Config::from_text(Path::new("study.toml"), LISTS.into(), Overrides::default()).unwrap();
+    let reader = Reader::new(&config);
+    let _ = read(&config, &reader);
+    let is_parameter = |key: &String| key.rsplit('.').next().and_then(Parameter::from_name).is_some();
+    let known: BTreeSet<String> = reader.known_keys().into_iter().filter(|key| !is_parameter(key)).collect();
+    let document = include_str!("../../../docs/study_file.md");
+    let rows = document.lines().filter_map(|line| line.strip_prefix("| `")?.split_once('`'));
+    let documented: BTreeSet<String> = rows.map(|(key, _)| key.to_string()).collect();
+    let above: BTreeSet<String> = documented.iter().flat_map(|key| key.match_indices('.').map(|(at, _)| key[..at].to_string())).collect();
+    let missing: Vec<_> = known.iter().filter(|key| !documented.contains(*key) && !above.contains(*key) && *key != "circulation").collect();
+    assert!(missing.is_empty(), "docs/study_file.md lacks {missing:?}");
+    let stale: Vec<_> = documented.difference(&known).collect();
+    assert!(stale.is_empty(), "docs/study_file.md has keys that are not there: {stale:?}");
+}
+
 proptest::proptest! {
     #[test]
     fn no_text_makes_it_panic(text in "(\\[{0,2}(anatomy|phantom|mechanics|personalisation.parameter|images)?\\]{0,2}\n?|kind|data|[a-z_.]{0,12} ?= ?[-0-9a-z\"\\[\\]{},.]{0,9}\n){0,12}") {

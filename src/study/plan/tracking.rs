@@ -69,8 +69,6 @@ pub struct TrackingPlan {
     pub block_size_mm: f64,
     /// `block_range_mm`: how far around the current position a block is searched.
     pub block_range_mm: f64,
-    /// `beats`: beats that are tracked; results are of the last one.
-    pub beats: usize,
 }
 
 pub(super) fn read(table: TableReader, parameters: &mut Parameters, written: &mut BTreeSet<Parameter>) -> TrackingPlan {
@@ -90,7 +88,6 @@ pub(super) fn read(table: TableReader, parameters: &mut Parameters, written: &mu
         similarity: table.choice("similarity", Similarity::default()),
         block_size_mm: table.number("block_size_mm", 2.0..=60.0, block_size_mm),
         block_range_mm: table.number("block_range_mm", 1.0..=40.0, blocks.range_mm),
-        beats: table.count("beats", 1..=20, 1),
     };
     if plan.search_step_mm > plan.search_range_mm {
         table.problem("search_step_mm", "is longer than search_range_mm", format!("choose at most {}", plan.search_range_mm));
