@@ -1,6 +1,6 @@
 //! What the documents name exists: files and tests of `docs/equations.md`, references, study files of the README.
 
-#![allow(clippy::unwrap_used, reason = "a test may stop at the first surprise")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may stop at the first surprise")]
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

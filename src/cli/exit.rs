@@ -2,6 +2,8 @@
 
 use std::process::ExitCode;
 
+use crate::study::{RunError, Status, StudyError};
+
 /// How the program ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Exit {
@@ -9,9 +11,9 @@ pub(super) enum Exit {
     Done,
     /// A run failed.
     Failed,
-    /// A study file or an argument is wrong.
+    /// A study file, an argument or a file that they name is wrong.
     BadInput,
-    /// Ctrl-C.
+    /// Stopped by Ctrl-C, as shells count it (128 + SIGINT).
     Interrupted,
 }
 
@@ -23,5 +25,27 @@ impl From<Exit> for ExitCode {
             Exit::BadInput => 2,
             Exit::Interrupted => 130,
         })
+    }
+}
+
+impl From<Status> for Exit {
+    fn from(status: Status) -> Self {
+        match status {
+            Status::Converged | Status::OnBound | Status::IterationLimit => Self::Done,
+            Status::Stopped => Self::Interrupted,
+            Status::Failed => Self::Failed,
+        }
+    }
+}
+
+impl From<&anyhow::Error> for Exit {
+    fn from(error: &anyhow::Error) -> Self {
+        match error.downcast_ref::<RunError>() {
+            Some(RunError::Stopped) => Self::Interrupted,
+            Some(RunError::Image(_) | RunError::FrameOutOfRange { .. } | RunError::NothingToFit) => Self::BadInput,
+            Some(_) => Self::Failed,
+            None if error.is::<StudyError>() => Self::BadInput,
+            None => Self::Failed,
+        }
     }
 }

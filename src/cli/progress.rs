@@ -57,6 +57,9 @@ impl Progress for TerminalProgress {
     fn stage(&self, name: &str, total: Option<u64>) {
         let mut stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
         self.end_stage(&mut stage);
+        if !self.watched && !self.quiet {
+            say(&format!("            {name} …"));
+        }
         *stage = Some(Stage { name: name.to_owned(), started: Instant::now(), bar: self.new_bar(name, total) });
     }
 
