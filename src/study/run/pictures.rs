@@ -169,10 +169,10 @@ fn time_choice(clock: &Clock, motions: &[NamedMotion], count: usize) -> Vec<usiz
         let volume = |place: &usize| frames[*place].volume_ml.first().copied().unwrap_or(f64::INFINITY);
         (0..frames.len()).min_by(|a, b| volume(a).total_cmp(&volume(b)))
     });
-    if let Some(smallest) = smallest {
-        if let Some(nearest) = (1..places.len()).min_by_key(|&n| places[n].abs_diff(smallest)) {
-            places[nearest] = smallest;
-        }
+    if let Some(smallest) = smallest
+        && let Some(nearest) = (1..places.len()).min_by_key(|&n| places[n].abs_diff(smallest))
+    {
+        places[nearest] = smallest;
     }
     places.sort_unstable();
     places.dedup();
