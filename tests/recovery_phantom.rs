@@ -6,20 +6,20 @@
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use cardiotwin::study::{Config, Overrides, Plan, RunContext, RunError, Silent, run};
+use cardiotwin::study::{Config, Overrides, Plan, RunContext, RunError, Silent, StudyError, run};
 use serde_json::Value;
 
-fn plan(output: &Path, settings: &[&str]) -> Plan {
+fn plan(output: &Path, settings: &[&str]) -> Result<Plan, StudyError> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("studies/01_phantom_recovery/study.toml");
     let settings = settings.iter().map(ToString::to_string).collect();
     let overrides = Overrides { output: Some(output.to_path_buf()), settings, ..Overrides::default() };
-    Plan::new(&Config::read(&file, overrides).unwrap()).unwrap()
+    Plan::new(&Config::read(&file, overrides)?)
 }
 
 #[test]
 fn the_first_study_gives_back_its_truth_within_what_it_states() {
     let folder = tempfile::tempdir().unwrap();
-    run(&plan(folder.path(), &[]), &RunContext::new(&Silent, &AtomicBool::new(false))).unwrap();
+    run(&plan(folder.path(), &[]).unwrap(), &RunContext::new(&Silent, &AtomicBool::new(false))).unwrap();
     let summary: Value = serde_json::from_str(&std::fs::read_to_string(folder.path().join("summary.json")).unwrap()).unwrap();
 
     let recovery = &summary["recovery"];
@@ -54,6 +54,6 @@ fn the_first_study_gives_back_its_truth_within_what_it_states() {
 #[test]
 fn a_run_that_is_stopped_ends_at_once_and_says_so() {
     let folder = tempfile::tempdir().unwrap();
-    let outcome = run(&plan(folder.path(), &["anatomy.edge_length_mm=8"]), &RunContext::new(&Silent, &AtomicBool::new(true)));
+    let outcome = run(&plan(folder.path(), &["anatomy.edge_length_mm=8"]).unwrap(), &RunContext::new(&Silent, &AtomicBool::new(true)));
     assert!(matches!(outcome, Err(RunError::Stopped)), "{outcome:?}");
 }

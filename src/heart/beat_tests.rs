@@ -53,6 +53,22 @@ fn a_heart_that_does_not_contract_stays_at_rest() {
     assert!((last.ventricles[0].arterial_pressure_kpa - exact).abs() < 1e-9);
 }
 
+/// What a search for σ0 rests on. A follower load breaks it: the wall snaps into a twisted state, which linear kinematics take for growth.
+#[test]
+fn a_stronger_heart_ejects_more_and_its_pressure_does_not_leap() {
+    let ejected = |peak_kpa: f64| {
+        let parameters = Parameters::default().with(Parameter::ContractionPeakLv, peak_kpa).unwrap();
+        let rows = left(&beat(&model(parameters, 0.005), -0.1, 0.7, &[]));
+        let leap = |pair: &[(f64, VentricleCurve)]| (pair[1].1.pressure_kpa - pair[0].1.pressure_kpa).abs();
+        let largest_leap_kpa = rows.windows(2).filter(|pair| pair[1].1.phase == Phase::Ejection).map(leap).fold(0.0, f64::max);
+        assert!(largest_leap_kpa < 1.5, "{largest_leap_kpa} kPa in one step of ejection at {peak_kpa} kPa");
+        let volumes = rows.iter().map(|(_, curve)| curve.volume_ml);
+        volumes.clone().fold(0.0, f64::max) - volumes.fold(f64::INFINITY, f64::min)
+    };
+    let stroke_ml = [80.0, 120.0, 160.0].map(ejected);
+    assert!(stroke_ml.windows(2).all(|pair| pair[1] > pair[0] + 2.0), "{stroke_ml:?} mL");
+}
+
 #[test]
 fn blood_is_conserved_to_a_millionth_of_a_millilitre_in_every_step() {
     for pair in left(default_beats()).windows(2) {

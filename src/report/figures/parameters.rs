@@ -31,7 +31,7 @@ pub struct ParameterInterval {
 
 const WIDTH: u32 = 1340;
 const ROW: u32 = 112;
-const SCALE_LEFT: u32 = 470;
+const SCALE_LEFT: u32 = 570;
 const SCALE_RIGHT: u32 = 1080;
 
 /// Draws one row a parameter.
