@@ -63,7 +63,8 @@ fn citations(text: &str) -> BTreeSet<String> {
             && name.chars().all(char::is_alphabetic)
             && year.chars().all(|c| c.is_ascii_digit())
     };
-    let keys = text.split('[').skip(1).filter_map(|rest| rest.split_once(']')).map(|(key, _)| key);
+    // In documentation comments the brackets are escaped, so that they are no links.
+    let keys = text.split('[').skip(1).filter_map(|rest| rest.split_once(']')).map(|(key, _)| key.trim_end_matches('\\'));
     keys.filter(|key| key.is_ascii() && key.len() > 5 && is_key(key)).map(str::to_string).collect()
 }
 

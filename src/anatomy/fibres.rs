@@ -1,4 +1,4 @@
-//! Local axes of the wall and rule-based fibres, [Billet2009] §3.
+//! Local axes of the wall and rule-based fibres, \[Billet2009\] §3.
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -17,7 +17,7 @@ pub struct FibreRule {
 }
 
 impl Default for FibreRule {
-    /// +80° to −80°, [Billet2009] §3.
+    /// +80° to −80°, \[Billet2009\] §3.
     fn default() -> Self {
         Self { helix_endocardium_deg: 80.0, helix_epicardium_deg: -80.0 }
     }

@@ -1,4 +1,4 @@
-//! The patient's heart at rest: mesh, surfaces, cavities, regions, transmural depth and fibres, [Billet2009] §3.
+//! The patient's heart at rest: mesh, surfaces, cavities, regions, transmural depth and fibres, \[Billet2009\] §3.
 
 mod build;
 mod error;

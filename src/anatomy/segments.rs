@@ -1,4 +1,4 @@
-//! The heart's own axes and the 17 segments of the left ventricle [Cerqueira2002].
+//! The heart's own axes and the 17 segments of the left ventricle \[Cerqueira2002\].
 
 use nalgebra::Vector3;
 

@@ -1,4 +1,4 @@
-//! Atrial pressure: a baseline with a kick that ends when the ventricles start, [Billet2009] §2 ("the values of the pressures in the atria").
+//! Atrial pressure: a baseline with a kick that ends when the ventricles start, \[Billet2009\] §2 ("the values of the pressures in the atria").
 
 use std::f64::consts::PI;
 

@@ -1,4 +1,4 @@
-//! Arteries, atria and valves; sees the heart only as an affine cavity response, [Billet2009] §2.
+//! Arteries, atria and valves; sees the heart only as an affine cavity response, \[Billet2009\] §2.
 
 mod atrium;
 mod error;

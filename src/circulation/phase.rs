@@ -1,4 +1,4 @@
-//! The four phases of a ventricle, read off its valves, [Billet2009] §2.
+//! The four phases of a ventricle, read off its valves, \[Billet2009\] §2.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,4 @@
-//! Valves of one or two ventricles as one complementarity problem a step; the phases come out of it, [Billet2009] §2.
+//! Valves of one or two ventricles as one complementarity problem a step; the phases come out of it, \[Billet2009\] §2.
 
 use nalgebra::{DMatrix, DVector};
 

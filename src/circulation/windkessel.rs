@@ -1,4 +1,4 @@
-//! The three-element Windkessel behind a ventricle, [Billet2009] §2, [Westerhof2009].
+//! The three-element Windkessel behind a ventricle, \[Billet2009\] §2, \[Westerhof2009\].
 
 use super::CirculationError;
 use super::error::positive;

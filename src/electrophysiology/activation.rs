@@ -2,7 +2,7 @@
 //!
 //! The earliest vertex of the front is taken off and its tetrahedra are solved for their other corners; whoever is reached earlier than
 //! before goes (back) on the front. With isotropy this is fast marching; with anisotropy a vertex may be taken off before all it depends
-//! on is known, and putting it back is the recursive correction of [Konukoglu2007] (their CHANGED list) in one queue. What is reached
+//! on is known, and putting it back is the recursive correction of \[Konukoglu2007\] (their CHANGED list) in one queue. What is reached
 //! is the fixed point of a monotone map from above, so it depends neither on the numbering nor on the order of the visits.
 
 use nalgebra::Vector3;

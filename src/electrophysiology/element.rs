@@ -1,4 +1,4 @@
-//! The local problem: the earliest arrival at one corner of a tetrahedron from its opposite face, [Konukoglu2007].
+//! The local problem: the earliest arrival at one corner of a tetrahedron from its opposite face, \[Konukoglu2007\].
 //!
 //! With $T$ linear on the face and the front running straight inside the element,
 //! $$T_w = \min_{\lambda \ge 0,\ \sum\lambda = 1}\ \sum_i \lambda_i T_i + \sqrt{e^T D^{-1} e}/v, \qquad e = x_w - \sum_i \lambda_i x_i.$$

@@ -1,4 +1,4 @@
-//! When each vertex is depolarised: the anisotropic eikonal model, [Billet2009] §2.
+//! When each vertex is depolarised: the anisotropic eikonal model, \[Billet2009\] §2.
 //!
 //! $v^2\,\nabla t_d\cdot D\nabla t_d = 1$ with $D = \mathrm{diag}(1, \rho, \rho)$ in fibre axes: the front runs at $v$ along the
 //! fibre and at $v\sqrt\rho$ across it. [`activate`] solves it on linear tetrahedra; the [`ActivationMap`] keeps the stencil every

@@ -1,4 +1,4 @@
-//! A recorded motion of the base, estimated once by block matching and replayed without images, [Billet2009] §5.
+//! A recorded motion of the base, estimated once by block matching and replayed without images, \[Billet2009\] §5.
 
 use nalgebra::Vector3;
 

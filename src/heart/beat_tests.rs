@@ -105,7 +105,7 @@ fn the_four_phases_follow_each_other_once_a_beat() {
     assert!((8..=10).contains(&phases.len()), "{phases:?}");
 }
 
-/// The ranges of a normal ventricle (volumes and pressures of [Hudsmith2005] and textbooks); durations looser, since they are not fitted.
+/// The ranges of a normal ventricle (volumes and pressures of \[Hudsmith2005\] and textbooks); durations looser, since they are not fitted.
 #[test]
 fn the_default_ventricle_beats_within_normal_ranges() {
     let beat = BeatObservables::of_beat(&default_beats().curves, Ventricle::Left, 1.6, 0.8).unwrap();

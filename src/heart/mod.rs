@@ -1,4 +1,4 @@
-//! The coupled heart: parameters, model, step, beat and observables, [Billet2009] §2.
+//! The coupled heart: parameters, model, step, beat and observables, \[Billet2009\] §2.
 
 mod base_motion;
 #[cfg(test)]

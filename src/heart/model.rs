@@ -65,7 +65,7 @@ pub struct HeartModel {
 /// The active stress of every tetrahedron.
 #[derive(Debug, Clone)]
 pub(super) struct Contraction {
-    /// The law of [Billet2009] eq. 1 with σ0 = 1 kPa.
+    /// The law of \[Billet2009\] eq. 1 with σ0 = 1 kPa.
     law: ContractionLaw,
     /// σ0 a tetrahedron, kPa.
     peak_kpa: Vec<f64>,

@@ -1,4 +1,4 @@
-//! Where and when the ventricles are first depolarised, and how fast the depolarisation runs, [Billet2009] §2.
+//! Where and when the ventricles are first depolarised, and how fast the depolarisation runs, \[Billet2009\] §2.
 
 use nalgebra::Vector3;
 
@@ -9,7 +9,7 @@ use crate::electrophysiology::{Conduction, Onset};
 /// The sites where a beat starts.
 #[derive(Debug, Clone, PartialEq)]
 pub enum OnsetSites {
-    /// Endings of the Purkinje network in a normal heart. Left: the three places of [Durrer1970] (mid-septum, anterior and posterior
+    /// Endings of the Purkinje network in a normal heart. Left: the three places of \[Durrer1970\] (mid-septum, anterior and posterior
     /// paraseptal), then, 10 ms later, the walls at the roots of the two papillary muscles. Right: the middle of the free wall, at the
     /// root of its anterior papillary muscle, 5 ms late. Heights along the axis and angles from the septum are chosen.
     Normal,

@@ -1,4 +1,4 @@
-//! One coupled step: muscle, springs, data and valves at once, [Billet2009] §2.
+//! One coupled step: muscle, springs, data and valves at once, \[Billet2009\] §2.
 //!
 //! With all forces but the cavity pressures on the right, the position at the end of the step is affine in the pressures,
 //!
@@ -69,7 +69,7 @@ impl HeartModel {
         }
     }
 
-    /// One step of the model's length from `state` under the loads of data: (K̃ + K_img) Y = F + F̃_img, [Billet2009] §4.2.
+    /// One step of the model's length from `state` under the loads of data: (K̃ + K_img) Y = F + F̃_img, \[Billet2009\] §4.2.
     ///
     /// # Errors
     /// [`StepError`] with the time, if a system cannot be solved, the volumes are not met, or the motion blows up.

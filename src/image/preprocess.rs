@@ -1,4 +1,4 @@
-//! The preparation of cine images for tracking: isotropic voxels, clipped extremes, grey levels from 0 to 255 ([Billet2009] §6.2).
+//! The preparation of cine images for tracking: isotropic voxels, clipped extremes, grey levels from 0 to 255 (\[Billet2009\] §6.2).
 //!
 //! With the quantiles q₋ and q₊ of the intensities of all frames together, every frame becomes
 //!

@@ -1,4 +1,4 @@
-//! Trilinear values and world-space gradients of images between voxels, and of a cine sequence between frames ([Billet2009] §3, §4.1).
+//! Trilinear values and world-space gradients of images between voxels, and of a cine sequence between frames (\[Billet2009\] §3, §4.1).
 //!
 //! In the cell of the voxel (i, j, k) with local coordinates u ∈ \[0, 1\]³
 //!

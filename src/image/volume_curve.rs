@@ -128,7 +128,7 @@ impl VolumeCurve {
         (end_diastolic_ml - end_systolic_ml) / end_diastolic_ml
     }
 
-    /// The instant of slowest filling between the early wave and the atrial kick ([Billet2009] §3 builds the mesh there). Smooth a
+    /// The instant of slowest filling between the early wave and the atrial kick (\[Billet2009\] §3 builds the mesh there). Smooth a
     /// noisy curve first.
     pub fn mid_diastole(&self) -> MidDiastole {
         let (start, end) = (self.end_systole().frame, self.end_diastole().frame);

@@ -1,8 +1,8 @@
-//! The active stress of a contracting fibre, [Billet2009] eq. 1.
+//! The active stress of a contracting fibre, \[Billet2009\] eq. 1.
 
 use super::MechanicsError;
 
-/// Contraction of one tissue, [Billet2009] eq. 1, repeated every beat. With $t_r = t_d + \mathrm{APD}$,
+/// Contraction of one tissue, \[Billet2009\] eq. 1, repeated every beat. With $t_r = t_d + \mathrm{APD}$,
 ///
 /// $$\sigma_C(t) = \begin{cases} \sigma_0 \left(1 - e^{k_{ATP}(t_d - t)}\right) & t_d \le t < t_r \\\\
 /// \sigma_C(t_r)\, e^{k_{RS}(t_r - t)} & t_r \le t < t_d + HP \end{cases}$$

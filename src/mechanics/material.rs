@@ -59,7 +59,7 @@ impl PassiveProperties {
 /// \varepsilon_s = \frac{\sigma_s - \nu\sigma_n}{E_t} - \frac{\nu\sigma_f}{E_f}, \quad
 /// \gamma_{fs} = \frac{\sigma_{fs}}{G_f}, \quad \gamma_{sn} = \frac{2(1+\nu)\,\sigma_{sn}}{E_t}$$
 ///
-/// with Saint-Venant's shear along the fibre, $1/G_f = (1+2\nu)/E_f + 1/E_t$ [Lekhnitskii1963], which is
+/// with Saint-Venant's shear along the fibre, $1/G_f = (1+2\nu)/E_f + 1/E_t$ \[Lekhnitskii1963\], which is
 /// $2(1+\nu)/E$ where $E_f = E_t$.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TransverseIsotropy {

@@ -1,4 +1,4 @@
-//! Active and visco-elastic mechanics of the myocardium, [Billet2009] §2; every force is a load on one step system.
+//! Active and visco-elastic mechanics of the myocardium, \[Billet2009\] §2; every force is a load on one step system.
 
 mod contraction;
 mod error;
@@ -44,7 +44,7 @@ impl MotionState {
 }
 
 /// What is added to the step system K̃ Y = F: forces on the right, 3 × 3 blocks on the diagonal of the left, so that
-/// (K̃ + K_img) Y^{t+h} = F + F̃_img, [Billet2009] §4.2.
+/// (K̃ + K_img) Y^{t+h} = F + F̃_img, \[Billet2009\] §4.2.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StepSystem {
     /// F a vertex, mN.

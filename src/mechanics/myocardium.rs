@@ -1,4 +1,4 @@
-//! The passive and active mechanics of one mesh at rest: $M\ddot Y + C\dot Y + K(Y - x) = F$, [Billet2009] §2.
+//! The passive and active mechanics of one mesh at rest: $M\ddot Y + C\dot Y + K(Y - x) = F$, \[Billet2009\] §2.
 
 use std::sync::Arc;
 
@@ -152,7 +152,7 @@ impl Myocardium {
     }
 
     /// Adds F_C, mN, of one fibre tension σC (kPa) a tetrahedron: the force at corner a is $-V\sigma_C\, f (f\cdot\nabla N_a)$,
-    /// what the stress $\sigma_C f \otimes f$ exerts on its vertices, [Billet2009] §2.
+    /// what the stress $\sigma_C f \otimes f$ exerts on its vertices, \[Billet2009\] §2.
     ///
     /// # Errors
     /// [`MechanicsError::FieldSize`] if a field has the wrong number of entries.

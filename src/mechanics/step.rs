@@ -1,4 +1,4 @@
-//! One implicit time step as a linear system, $\tilde K Y^{t+h} = F$, [Billet2009] §4.2.
+//! One implicit time step as a linear system, $\tilde K Y^{t+h} = F$, \[Billet2009\] §4.2.
 
 use std::sync::Arc;
 

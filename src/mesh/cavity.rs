@@ -42,7 +42,7 @@ impl Cavity {
         &self.endocardium
     }
 
-    /// Rim vertices in order, such that (centre, rim[i], rim[i+1]) is oriented out of the blood.
+    /// Rim vertices in order, such that (centre, vertex, next vertex) is oriented out of the blood.
     pub fn rim(&self) -> &[usize] {
         &self.rim
     }

@@ -139,7 +139,7 @@ fn barycentric(&[a, b, c, d]: &[Vector3<f64>; 4], p: &Vector3<f64>) -> [f64; 4] 
     [1.0 - at_b - at_c - at_d, at_b, at_c, at_d]
 }
 
-/// Weights of the point of a triangle nearest to `p`, by the regions of its corners, edges and face [Ericson2005] §5.1.5.
+/// Weights of the point of a triangle nearest to `p`, by the regions of its corners, edges and face \[Ericson2005\] §5.1.5.
 fn nearest_in_triangle([a, b, c]: [Vector3<f64>; 3], p: &Vector3<f64>) -> [f64; 3] {
     let (ab, ac, ap, bp, cp) = (b - a, c - a, p - a, p - b, p - c);
     let (d1, d2) = (ab.dot(&ap), ac.dot(&ap));

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{MeshError, TetMesh};
 
-/// The surfaces of the ventricles, [Billet2009] §3.
+/// The surfaces of the ventricles, \[Billet2009\] §3.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SurfaceTag {

@@ -1,5 +1,5 @@
 //! Preconditioned conjugate gradients and GMRES for several right-hand sides in lockstep, so that one pass over the
-//! preconditioner's factor serves all of them [Saad2003].
+//! preconditioner's factor serves all of them \[Saad2003\].
 
 use nalgebra::Vector3;
 

@@ -47,7 +47,7 @@ pub fn robust_standard_deviation(sample: &[f64]) -> Option<f64> {
 /// z with P(|N(0, 1)| ≤ z) = 0.95.
 pub const NORMAL_QUANTILE_95: f64 = 1.959_963_984_540_054;
 
-/// Quantile of χ² with `degrees` degrees of freedom at the standard normal deviate `z` (−1.96 → 2.5 %), by [Wilson1931]:
+/// Quantile of χ² with `degrees` degrees of freedom at the standard normal deviate `z` (−1.96 → 2.5 %), by \[Wilson1931\]:
 /// χ² ≈ ν (1 − 2/(9ν) + z √(2/(9ν)))³, within 1 % for ν ≥ 3.
 pub fn chi_square_quantile(degrees: f64, z: f64) -> f64 {
     let spread = 2.0 / (9.0 * degrees);

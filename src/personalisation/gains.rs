@@ -147,7 +147,7 @@ impl GainSearch {
         recorded.choice(self.lower, self.upper, |tried| tried.residual_rms)
     }
 
-    /// The gain at which the residual on the points used equals their noise `noise_rms` ([Morozov1966]'s discrepancy principle): a larger
+    /// The gain at which the residual on the points used equals their noise `noise_rms` (\[Morozov1966\]'s discrepancy principle): a larger
     /// gain would fit noise. The residual falls with the gain; where it never crosses the noise, the nearer end of the range is chosen.
     ///
     /// # Errors

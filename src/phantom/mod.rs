@@ -1,4 +1,4 @@
-//! Hearts whose truth is known: idealised anatomies and synthetic cine, [Billet2009] §6.1.
+//! Hearts whose truth is known: idealised anatomies and synthetic cine, \[Billet2009\] §6.1.
 
 mod error;
 mod idealised_lv;

@@ -7,7 +7,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::image::Grid;
 
-/// Replaces intensities A by $|A + n_1 + i\,n_2|$ with $n \sim N(0, \sigma^2)$: Rician noise, [Gudbjartsson1995]. Each `stream` of a seed is
+/// Replaces intensities A by $|A + n_1 + i\,n_2|$ with $n \sim N(0, \sigma^2)$: Rician noise, \[Gudbjartsson1995\]. Each `stream` of a seed is
 /// independent of the others.
 pub(super) fn add_rician_noise(values: &mut [f32], deviation: f64, seed: u64, stream: u64) {
     if deviation <= 0.0 {

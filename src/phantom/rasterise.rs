@@ -1,4 +1,4 @@
-//! Deformed tetrahedra → how much of every voxel is blood, wall and background, [Billet2009] §6.1.
+//! Deformed tetrahedra → how much of every voxel is blood, wall and background, \[Billet2009\] §6.1.
 
 use nalgebra::Vector3;
 use rayon::prelude::*;

@@ -1,4 +1,4 @@
-//! A cine sequence of a heart whose motion is known, with the truth beside it, [Billet2009] §6.1.
+//! A cine sequence of a heart whose motion is known, with the truth beside it, \[Billet2009\] §6.1.
 //!
 //! Wall, blood and background have intensities as in balanced steady-state cine: bright blood, grey muscle, dark surroundings. The wall
 //! carries a texture that belongs to the material (it is evaluated where the point was at rest), the surroundings carry a still one; every

@@ -1,4 +1,4 @@
-//! What a surface looks like on the reference frame: the threshold and intensity range of [Billet2009] §4.1, learnt once and kept.
+//! What a surface looks like on the reference frame: the threshold and intensity range of \[Billet2009\] §4.1, learnt once and kept.
 
 use nalgebra::Vector3;
 

@@ -1,4 +1,4 @@
-//! The force that draws the base along the motion that block matching has found, [Billet2009] §5.
+//! The force that draws the base along the motion that block matching has found, \[Billet2009\] §5.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use crate::heart::BaseMotion;
 use crate::mechanics::{MotionState, StepLoad, StepSystem};
 use crate::mesh::{SurfaceTag, TaggedSurface};
 
-/// How the base is held, [Billet2009] §6.2.
+/// How the base is held, \[Billet2009\] §6.2.
 #[derive(Debug, Clone, PartialEq)]
 pub enum BaseMode {
     /// Nothing holds the base.
@@ -27,7 +27,7 @@ pub enum BaseMode {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum BaseProjection {
-    /// Along the mesh normal only, as in [Billet2009] §5: the base moves mostly along the long axis.
+    /// Along the mesh normal only, as in \[Billet2009\] §5: the base moves mostly along the long axis.
     #[default]
     Normal,
     /// The whole vector.

@@ -1,5 +1,5 @@
 //! The motion of the base by block matching: every base vertex carries a block of the reference image and looks for the most
-//! similar block in each frame, coarse to fine, sub-voxel at the end, [Billet2009] §5 with the practice of [Ourselin2000].
+//! similar block in each frame, coarse to fine, sub-voxel at the end, \[Billet2009\] §5 with the practice of \[Ourselin2000\].
 
 use nalgebra::{DMatrix, Vector3};
 use rayon::prelude::*;
@@ -14,7 +14,7 @@ use crate::image::CineSequence;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Similarity {
-    /// Sum of squared differences, as in [Billet2009] §5.
+    /// Sum of squared differences, as in \[Billet2009\] §5.
     #[default]
     Ssd,
     /// Normalised cross-correlation: blind to brightness and contrast.

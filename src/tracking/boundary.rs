@@ -1,4 +1,4 @@
-//! The boundary points: for each surface vertex the nearest sub-voxel point of the image boundary along its normal, [Billet2009] §4.1.
+//! The boundary points: for each surface vertex the nearest sub-voxel point of the image boundary along its normal, \[Billet2009\] §4.1.
 
 use nalgebra::Vector3;
 use rayon::prelude::*;

@@ -1,4 +1,4 @@
-//! All tracked surfaces as one load on the step system: (K̃ + K_img) Y^{t+h} = F + F̃_img, [Billet2009] §4.2.
+//! All tracked surfaces as one load on the step system: (K̃ + K_img) Y^{t+h} = F + F̃_img, \[Billet2009\] §4.2.
 
 use std::sync::{Mutex, PoisonError};
 

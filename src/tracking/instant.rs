@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::image::{CineInstant, CineSequence, Grid};
 
-/// A cine sequence at one time, linear between frames and periodic, [Billet2009] §4.1.
+/// A cine sequence at one time, linear between frames and periodic, \[Billet2009\] §4.1.
 #[derive(Debug, Clone, Copy)]
 pub struct ImageInstant<'a> {
     cine: CineInstant<'a>,

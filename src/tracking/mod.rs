@@ -1,4 +1,4 @@
-//! The proactive tracker: image forces and block-matched base, [Billet2009] §4 and §5.
+//! The proactive tracker: image forces and block-matched base, \[Billet2009\] §4 and §5.
 //!
 //! | module | what it holds |
 //! |---|---|

@@ -1,7 +1,7 @@
-//! The image force of one vertex in four schemes of time integration, [Billet2009] §4.2, eq. 2 and 3.
+//! The image force of one vertex in four schemes of time integration, \[Billet2009\] §4.2, eq. 2 and 3.
 //!
 //! With N the mesh normal, N' the image normal, cos β = N·N', s the distance from Y to Z along N, and a small displacement dY,
-//! the boundary point moves by B dY. The construction of [Billet2009] (the line through Y + dY along N meets the plane through Z
+//! the boundary point moves by B dY. The construction of \[Billet2009\] (the line through Y + dY along N meets the plane through Z
 //! with normal N') has the derivative
 //! $$ B = I - \frac{N N'^T}{N \cdot N'}, $$
 //! whereas eq. 3 prints $(I - N' N'^T)(I - N N^T)/\cos^2\beta$. The two agree on span{N, N'}; along $t = N \times N'$ the printed
@@ -83,7 +83,7 @@ mod tests {
         (Vector3::new(0.6 * beta.sin(), 0.8 * beta.sin(), beta.cos()), beta.tan().powi(2))
     }
 
-    /// The construction of [Billet2009] itself: the line through Y along N meets the plane through the origin with the image normal.
+    /// The construction of \[Billet2009\] itself: the line through Y along N meets the plane through the origin with the image normal.
     fn target_of(position_mm: &Vector3<f64>, image_normal: &Vector3<f64>) -> BoundaryTarget {
         let signed_distance_mm = -image_normal.dot(position_mm) / image_normal.dot(&NORMAL);
         BoundaryTarget {

@@ -1,4 +1,4 @@
-//! The tracker: one beat of the heart model under the loads of the images, from the frame that the mesh was drawn on, [Billet2009] §4–§6.
+//! The tracker: one beat of the heart model under the loads of the images, from the frame that the mesh was drawn on, \[Billet2009\] §4–§6.
 
 use std::ops::ControlFlow;
 use std::sync::Arc;

@@ -1,8 +1,8 @@
-//! Tetrahedral meshes of any implicit function, and of a ventricular wall with its surfaces tagged, [Billet2009] §3.
+//! Tetrahedral meshes of any implicit function, and of a ventricular wall with its surfaces tagged, \[Billet2009\] §3.
 //!
-//! Isosurface stuffing ([`stuffing`]) fills the inside with tetrahedra of bounded angles; the base plane is a plane of the lattice itself,
-//! so that base and rim are sharp by construction; [`optimise`] then moves vertices (those of the surface on the surface) to raise the
-//! least dihedral angles, and [`tagging`] says which triangle is endocardium, epicardium or base.
+//! Isosurface stuffing (`stuffing`) fills the inside with tetrahedra of bounded angles; the base plane is a plane of the lattice itself,
+//! so that base and rim are sharp by construction; `optimise` then moves vertices (those of the surface on the surface) to raise the
+//! least dihedral angles, and `tagging` says which triangle is endocardium, epicardium or base.
 
 mod lattice;
 mod optimise;

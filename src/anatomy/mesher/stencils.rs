@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use super::stuffing::{Side, Stuffing};
 
-/// The stencils of [Labelle2007] figure 3. A quadrilateral that two tetrahedra share is divided by its own points alone: by the diagonal
+/// The stencils of \[Labelle2007\] figure 3. A quadrilateral that two tetrahedra share is divided by its own points alone: by the diagonal
 /// through the cut point of the longer lattice edge, of equal edges the shorter diagonal.
 pub(super) struct Stencils<'a> {
     pub(super) stuffing: &'a Stuffing<'a>,

@@ -1,4 +1,4 @@
-//! Isosurface stuffing: tetrahedra of bounded dihedral angle inside an implicit function, [Labelle2007].
+//! Isosurface stuffing: tetrahedra of bounded dihedral angle inside an implicit function, \[Labelle2007\].
 //!
 //! Lattice points are inside, outside or on the surface; an edge from inside to outside has a cut point. A lattice point with a cut
 //! point closer than α edge lengths is moved onto it ("warped"), so that no short edges are left; the tetrahedra that still cross the
@@ -13,7 +13,7 @@ use super::lattice::Lattice;
 use super::stencils::Stencils;
 use super::{AnatomyError, LevelSet};
 
-/// Warping thresholds α as a fraction of the edge, for edges of h and √3/2 h: the pair of [Labelle2007] table 1 that guarantees the
+/// Warping thresholds α as a fraction of the edge, for edges of h and √3/2 h: the pair of \[Labelle2007\] table 1 that guarantees the
 /// largest least dihedral angle, 10.78°.
 const ALPHA_LONG: f64 = 0.249_99;
 const ALPHA_SHORT: f64 = 0.411_89;

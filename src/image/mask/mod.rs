@@ -1,4 +1,4 @@
-//! From a label map on thick slices to smooth signed-distance fields of a ventricle ([Billet2009] §3).
+//! From a label map on thick slices to smooth signed-distance fields of a ventricle (\[Billet2009\] §3).
 //!
 //! Every slice's labels become an outline without staircase and the exact distances to it (`outline`); the slices are cleaned and ordered
 //! from apex to base (`slices`), joined along their axis and closed by a rounded apex (`stack`), and the result is made a true

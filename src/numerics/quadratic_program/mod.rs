@@ -2,9 +2,9 @@
 //!
 //! $$ \min_x \tfrac12 x^\top H x + g^\top x \quad\text{s.t.}\quad A x = b,\; G x \le h,\; l \le x \le u,\; \lVert S x\rVert \le \Delta $$
 //!
-//! The interior-point method of [Goulart2024] finds the active set; where the trust region is not active, the equality-constrained
+//! The interior-point method of \[Goulart2024\] finds the active set; where the trust region is not active, the equality-constrained
 //! problem on that set is solved by one dense factorisation, so that multipliers and steps are exact to rounding (the "polish" of
-//! [Stellato2020] §4).
+//! \[Stellato2020\] §4).
 
 mod error;
 mod interior;

@@ -67,7 +67,7 @@ impl QuadraticProgram {
         accurate.then_some(PrimalDual { x, multipliers, active, trust_multiplier, on_trust_boundary: trust_multiplier > 0.0 })
     }
 
-    /// Secant iteration for the multiplier μ with ‖S x(μ)‖ = Δ, on 1/‖S x‖, which is nearly linear in μ ([Nocedal2006] §4.3).
+    /// Secant iteration for the multiplier μ with ‖S x(μ)‖ = Δ, on 1/‖S x‖, which is nearly linear in μ (\[Nocedal2006\] §4.3).
     fn solve_on_sphere(&self, stack: &Stack, rows: &[usize], trust: &TrustRegion, near: &PrimalDual) -> Option<PrimalDual> {
         let start = near.trust_multiplier;
         let excess = |answer: &PrimalDual| trust.radius / trust.scale.component_mul(&answer.x).norm() - 1.0;

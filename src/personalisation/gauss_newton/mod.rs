@@ -3,7 +3,7 @@
 //! $$ \min_z \tfrac12 z^\top S H S z + g^\top S z \quad\text{s.t.}\quad l \le \theta + S z \le u,\; c + \nabla c^\top S z \le 0,\; \lVert z\rVert \le \Delta $$
 //!
 //! z is the step in units of the coordinates' scales S (prior standard deviations). The radius Δ follows the gain ratio (actual over
-//! predicted decrease, [Nocedal2006] §4.1) of the merit function cost + π Σ max(0, c); a simulation that fails shrinks it.
+//! predicted decrease, \[Nocedal2006\] §4.1) of the merit function cost + π Σ max(0, c); a simulation that fails shrinks it.
 
 mod outcome;
 mod step;

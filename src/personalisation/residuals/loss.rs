@@ -5,7 +5,7 @@
 pub enum Loss {
     /// ρ(r) = r²/2.
     Squares,
-    /// ρ(r) = r²/2 for |r| ≤ k, k|r| − k²/2 beyond, [Huber1964].
+    /// ρ(r) = r²/2 for |r| ≤ k, k|r| − k²/2 beyond, \[Huber1964\].
     Huber {
         /// k, in standard deviations; 1.345 keeps 95 % of the efficiency on normal data.
         threshold: f64,

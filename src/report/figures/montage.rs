@@ -1,4 +1,4 @@
-//! Slices of the images through time with the contours of the model on them, as in [Billet2009] fig. 3.
+//! Slices of the images through time with the contours of the model on them, as in \[Billet2009\] fig. 3.
 
 use std::path::Path;
 

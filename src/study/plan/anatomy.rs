@@ -1,4 +1,4 @@
-//! `[anatomy]`: the heart at rest, from a label map of a patient or from an idealised shape, [Billet2009] §3.
+//! `[anatomy]`: the heart at rest, from a label map of a patient or from an idealised shape, \[Billet2009\] §3.
 
 use std::path::PathBuf;
 

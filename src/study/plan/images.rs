@@ -1,4 +1,4 @@
-//! `[images]`: the cine sequence of a patient and how it is prepared, [Billet2009] §3.
+//! `[images]`: the cine sequence of a patient and how it is prepared, \[Billet2009\] §3.
 
 use std::path::PathBuf;
 

@@ -43,7 +43,7 @@ words! {
     Kind {
         /// The free heart: beats without data.
         Simulate = "simulate",
-        /// The proactive heart follows images with fixed parameters, [Billet2009] §4–5.
+        /// The proactive heart follows images with fixed parameters, \[Billet2009\] §4–5.
         Track = "track",
         /// Tracks, then finds parameters from the motion.
         Personalise = "personalise",

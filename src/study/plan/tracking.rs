@@ -1,4 +1,4 @@
-//! `[tracking]` beyond the gains of the parameter table: force scheme, boundary search and the base, [Billet2009] §4–5.
+//! `[tracking]` beyond the gains of the parameter table: force scheme, boundary search and the base, \[Billet2009\] §4–5.
 
 use std::collections::BTreeSet;
 
@@ -21,7 +21,7 @@ impl Choice for BaseProjection {
 }
 
 words! {
-    /// What holds the base, [Billet2009] §6.2.
+    /// What holds the base, \[Billet2009\] §6.2.
     BaseMode {
         /// Nothing.
         Free = "free",

@@ -1,4 +1,4 @@
-//! Start values from the measured volume curve, [Billet2009] §6.2: σ0 from the ejection fraction, onset and APD from the curve's timing.
+//! Start values from the measured volume curve, \[Billet2009\] §6.2: σ0 from the ejection fraction, onset and APD from the curve's timing.
 
 use super::calibration::simulate_parameters;
 use super::clock::Clock;
