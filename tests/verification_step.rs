@@ -6,9 +6,10 @@ use std::sync::Arc;
 use cardiotwin::mechanics::{
     MechanicsError, MotionState, Myocardium, PassiveProperties, SolvePath, SolveSettings, StepOperator, StepSolver, StepSystem,
 };
-use cardiotwin::mesh::{SurfaceTag, TaggedSurface, TetMesh};
 use cardiotwin::numerics::LinearSolveError;
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
+
+mod meshes;
 
 const PROPERTIES: PassiveProperties = PassiveProperties {
     fibre_stiffness_kpa: 30.0,
@@ -23,30 +24,9 @@ const PROPERTIES: PassiveProperties = PassiveProperties {
     pericardium_damping_kpa_s_per_mm: 0.005,
 };
 
-/// A block of `edge`³ cells of 3 mm, six tetrahedra each, its face x = 0 the base, the rest epicardium; fibres turn through it.
+/// A block of `edge`³ cells of 3 mm, its face x = 0 the base, the rest epicardium; fibres turn through it.
 fn tissue(edge: usize, properties: &PassiveProperties) -> Arc<Myocardium> {
-    let index = |corner: [usize; 3]| (corner[0] * (edge + 1) + corner[1]) * (edge + 1) + corner[2];
-    let mut vertices_mm = vec![Vector3::zeros(); (edge + 1).pow(3)];
-    let mut tetrahedra = vec![];
-    for code in 0..(edge + 1).pow(3) {
-        let corner = [code / (edge + 1).pow(2), code / (edge + 1) % (edge + 1), code % (edge + 1)];
-        vertices_mm[code] = Vector3::from(corner.map(|i| 3.0 * i as f64));
-        if corner.contains(&edge) {
-            continue;
-        }
-        for (first, second, is_even) in [(0, 1, true), (1, 2, true), (2, 0, true), (1, 0, false), (2, 1, false), (0, 2, false)] {
-            let (mut one, mut two) = (corner, corner);
-            one[first] += 1;
-            two[first] += 1;
-            two[second] += 1;
-            let (one, two, opposite) = (index(one), index(two), index(corner.map(|i| i + 1)));
-            tetrahedra.push(if is_even { [code, one, two, opposite] } else { [code, two, one, opposite] });
-        }
-    }
-    let mesh = TetMesh::new(vertices_mm, tetrahedra).unwrap();
-    let is_base = |t: &[usize; 3]| t.iter().all(|&v| mesh.vertices_mm()[v].x == 0.0);
-    let tag = |t: &[usize; 3]| if is_base(t) { SurfaceTag::Base } else { SurfaceTag::Epicardium };
-    let surface = TaggedSurface::new(&mesh, mesh.boundary_triangles().iter().map(tag).collect()).unwrap();
+    let (mesh, surface) = meshes::block(Vector3::repeat(3.0 * edge as f64), [edge; 3]);
     let axes: Vec<Matrix3<f64>> =
         (0..mesh.tetrahedron_count()).map(|t| *Rotation3::from_euler_angles(0.1 * t as f64, 0.2, 0.3).matrix()).collect();
     Arc::new(Myocardium::new(&mesh, &surface, &axes, properties).unwrap())
@@ -147,7 +127,7 @@ fn an_indefinite_system_falls_back_to_gmres() {
 #[test]
 fn the_preconditioner_is_kept_while_it_serves_and_renewed_when_it_does_not() {
     let operator = StepOperator::new(tissue(6, &PROPERTIES), 0.005).unwrap();
-    let settings = SolveSettings { refactor_above: 4, ..SolveSettings::default() };
+    let settings = SolveSettings { excess_iterations: 4, ..SolveSettings::default() };
     let mut solver = StepSolver::new(settings);
     let mut solve = |gain: f64| {
         let (state, system) = loaded_system(&operator, |vertex| normal_spring(vertex) * gain);

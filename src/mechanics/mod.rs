@@ -4,6 +4,7 @@ mod contraction;
 mod error;
 mod material;
 mod myocardium;
+mod scheme;
 mod solver;
 mod springs;
 mod step;
@@ -14,6 +15,7 @@ pub use contraction::ContractionLaw;
 pub use error::MechanicsError;
 pub use material::{PassiveProperties, TransverseIsotropy};
 pub use myocardium::Myocardium;
+pub use scheme::TimeScheme;
 pub use solver::{SolvePath, SolveReport, SolveSettings, StepSolver};
 pub use step::StepOperator;
 

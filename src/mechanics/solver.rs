@@ -1,5 +1,7 @@
 //! Solves the step system: by the frozen factor where the data add no stiffness, else iteratively with a kept preconditioner.
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::myocardium::check_size;
@@ -8,6 +10,9 @@ use crate::numerics::{
     BlockMatrix, CholeskyFactor, CholeskyWorkspace, ConjugateGradientOutcome, KrylovLimits, KrylovReport, KrylovWorkspace,
     LinearSolveError, conjugate_gradients, gmres,
 };
+
+/// Writes the product of the system's matrix with the first argument to the second.
+type Product<'a> = dyn Fn(&[Vector3<f64>], &mut [Vector3<f64>]) + 'a;
 
 /// Which way a system was solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,7 +32,7 @@ pub struct SolveReport {
     pub path: SolvePath,
     /// Iterations (0 when direct).
     pub iteration_count: usize,
-    /// Largest relative residual of the right-hand sides; that of the position is relative to the force on the start guess.
+    /// Largest relative residual of the right-hand sides, see [`SolveSettings::relative_tolerance`].
     pub relative_residual: f64,
     /// Whether the preconditioner was factorised anew for this solve.
     pub was_refactorised: bool,
@@ -36,39 +41,55 @@ pub struct SolveReport {
 /// When iterative solves stop and when their preconditioner is renewed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SolveSettings {
-    /// Residual norm over that of the right-hand side.
+    /// Residual norm over that of the right-hand side; for the position, over that of the force on the tissue at rest.
     pub relative_tolerance: f64,
     /// Iterations after which a solve has failed.
     pub iteration_limit: usize,
-    /// Iterations of one solve above which the preconditioner is factorised anew before the next.
-    pub refactor_above: usize,
+    /// The preconditioner is factorised anew once the iterations it costs beyond those it cost at first sum up to this: about the
+    /// iterations that a factorisation takes the time of.
+    pub excess_iterations: usize,
 }
 
 impl Default for SolveSettings {
     fn default() -> Self {
-        Self { relative_tolerance: 1e-8, iteration_limit: 400, refactor_above: 12 }
+        Self { relative_tolerance: 1e-8, iteration_limit: 400, excess_iterations: 8 }
     }
 }
 
-/// Memory and preconditioner that solves of consecutive steps share; one a thread. A solution depends on the preconditioner's
-/// past within the tolerance only, and never on the number of threads.
+/// Memory, preconditioner and last solutions that solves of consecutive steps share; one a thread. An iterative solution depends
+/// on what was solved before within the tolerance only, and never on the number of threads.
 #[derive(Debug, Default)]
 pub struct StepSolver {
     settings: SolveSettings,
-    cholesky: CholeskyWorkspace,
+    direct: CholeskyWorkspace<f64>,
+    single: CholeskyWorkspace<f32>,
     krylov: KrylovWorkspace,
     preconditioner: Option<Preconditioner>,
     columns: Vec<Vec<Vector3<f64>>>,
+    reference_norms: Vec<f64>,
+    guesses: Guesses,
 }
 
-/// The factor of K̃ + sym⁺(K_img) at an earlier step.
+/// The factor of K̃ + sym⁺(K_img) at an earlier step, in single precision.
 #[derive(Debug)]
 struct Preconditioner {
     matrix: BlockMatrix,
-    factor: CholeskyFactor,
-    is_stale: bool,
+    /// None where single precision found the matrix not positive definite: then the operator's own factor serves.
+    factor: Option<CholeskyFactor<f32>>,
+    /// Fewest iterations of a solve that did not follow its factorisation.
+    kept_floor: Option<usize>,
+    excess: usize,
     /// h of the operator it was made for.
     step_s: f64,
+    is_fresh: bool,
+}
+
+/// The last responses: where the next ones start from.
+#[derive(Debug, Default)]
+struct Guesses {
+    responses: Vec<Vec<Vector3<f64>>>,
+    weights: Vec<f64>,
+    product: Vec<Vector3<f64>>,
 }
 
 impl StepSolver {
@@ -89,20 +110,16 @@ impl StepSolver {
         position_mm: &mut [Vector3<f64>],
         responses: &mut [Vec<Vector3<f64>>],
     ) -> Result<SolveReport, MechanicsError> {
+        let stiffness = &system.stiffness_mn_per_mm;
         let count = operator.myocardium().vertex_count();
         check_size("positions, one a vertex", count, position_mm.len())?;
         check_size("forces, one a vertex", count, system.force_mn.len())?;
-        // The correction of the guess is solved for: its residual is small from the start, and coordinates do not enter it.
-        for response in responses.iter() {
-            check_size("responses, one vector a vertex", count, response.len())?;
-        }
+        check_size("stiffness blocks, one a vertex", count, stiffness.len())?;
+        check_responses(count, responses)?;
         let mut columns = self.take_columns(responses);
         columns[0].resize(count, Vector3::zeros());
-        apply(operator, &system.stiffness_mn_per_mm, position_mm, &mut columns[0]);
-        for (residual, force) in columns[0].iter_mut().zip(&system.force_mn) {
-            *residual = force - *residual;
-        }
-        let report = self.solve_columns(operator, &system.stiffness_mn_per_mm, &mut columns[..=responses.len()]);
+        let reference_norm = self.subtract_position(operator, system, position_mm, &mut columns[0]);
+        let report = self.solve_columns(operator, stiffness, &mut columns[..=responses.len()], Some(reference_norm));
         for (position, correction) in position_mm.iter_mut().zip(&columns[0]) {
             *position += correction;
         }
@@ -110,7 +127,11 @@ impl StepSolver {
             response.copy_from_slice(column);
         }
         self.columns = columns;
-        report
+        let report = report?;
+        if let Some(preconditioner) = self.preconditioner.as_mut().filter(|_| report.path != SolvePath::Direct) {
+            preconditioner.served(report.iteration_count);
+        }
+        Ok(report)
     }
 
     /// Solves $(\tilde K + K_{img})\,R_k = G_k$ for every response, in place: mN in, mm out.
@@ -123,10 +144,29 @@ impl StepSolver {
         stiffness_mn_per_mm: &[Matrix3<f64>],
         responses: &mut [Vec<Vector3<f64>>],
     ) -> Result<SolveReport, MechanicsError> {
-        for response in responses.iter() {
-            check_size("responses, one vector a vertex", operator.myocardium().vertex_count(), response.len())?;
-        }
-        self.solve_columns(operator, stiffness_mn_per_mm, responses)
+        let count = operator.myocardium().vertex_count();
+        check_responses(count, responses)?;
+        check_size("stiffness blocks, one a vertex", count, stiffness_mn_per_mm.len())?;
+        self.solve_columns(operator, stiffness_mn_per_mm, responses, None)
+    }
+
+    /// The correction of the guess is solved for, so that coordinates far from the origin cost no digits: writes F − A y and gives
+    /// ‖F − A x‖ at rest.
+    fn subtract_position(
+        &mut self,
+        operator: &StepOperator,
+        system: &StepSystem,
+        position_mm: &[Vector3<f64>],
+        residual: &mut [Vector3<f64>],
+    ) -> f64 {
+        let mut defect = |position_mm: &[Vector3<f64>]| {
+            apply(operator, &system.stiffness_mn_per_mm, position_mm, residual);
+            residual.iter_mut().zip(&system.force_mn).for_each(|(residual, force)| *residual = force - *residual);
+            norm(residual)
+        };
+        let at_rest = defect(operator.myocardium().rest_mm());
+        defect(position_mm);
+        at_rest
     }
 
     /// Copies the responses behind a first, free column.
@@ -140,30 +180,35 @@ impl StepSolver {
         columns
     }
 
+    /// Solves for a position's correction, if its reference norm is given, and for the responses that follow.
     fn solve_columns(
         &mut self,
         operator: &StepOperator,
         stiffness_mn_per_mm: &[Matrix3<f64>],
         columns: &mut [Vec<Vector3<f64>>],
+        position_reference: Option<f64>,
     ) -> Result<SolveReport, MechanicsError> {
-        check_size("stiffness blocks, one a vertex", operator.myocardium().vertex_count(), stiffness_mn_per_mm.len())?;
         if stiffness_mn_per_mm.iter().all(|block| *block == Matrix3::zeros()) {
             return self.solve_directly(operator, columns);
         }
         let was_refactorised = self.prepare_preconditioner(operator, stiffness_mn_per_mm)?;
-        let limits = KrylovLimits { relative_tolerance: self.settings.relative_tolerance, iteration_limit: self.settings.iteration_limit };
-        let (path, report) = self.iterate(operator, stiffness_mn_per_mm, columns, limits)?;
-        if let Some(preconditioner) = &mut self.preconditioner {
-            preconditioner.is_stale = report.iteration_count > self.settings.refactor_above;
-        }
+        let first_response = usize::from(position_reference.is_some());
+        self.reference_norms.clear();
+        self.reference_norms.extend(position_reference);
+        self.reference_norms.extend(columns[first_response..].iter().map(|column| norm(column)));
+        let product = |x: &[Vector3<f64>], y: &mut [Vector3<f64>]| apply(operator, stiffness_mn_per_mm, x, y);
+        self.guesses.subtract(&product, &mut columns[first_response..]);
+        let is_symmetric = stiffness_mn_per_mm.iter().all(is_symmetric);
+        let (path, report) = self.iterate(operator, &product, is_symmetric, columns)?;
+        self.guesses.add_and_keep(&mut columns[first_response..]);
         let KrylovReport { iteration_count, relative_residual } = report;
         Ok(SolveReport { path, iteration_count, relative_residual, was_refactorised })
     }
 
     fn solve_directly(&mut self, operator: &StepOperator, columns: &mut [Vec<Vector3<f64>>]) -> Result<SolveReport, MechanicsError> {
-        operator.factor().solve_in_place(columns, &mut self.cholesky)?;
+        operator.factor().solve_in_place(columns, &mut self.direct)?;
         for (right_hand_side, column) in columns.iter().enumerate() {
-            if !column.iter().all(|v| v.iter().all(|c| c.is_finite())) {
+            if !norm(column).is_finite() {
                 return Err(LinearSolveError::NotFinite { right_hand_side }.into());
             }
         }
@@ -173,51 +218,110 @@ impl StepSolver {
     fn iterate(
         &mut self,
         operator: &StepOperator,
-        stiffness_mn_per_mm: &[Matrix3<f64>],
+        product: &Product<'_>,
+        is_symmetric: bool,
         columns: &mut [Vec<Vector3<f64>>],
-        limits: KrylovLimits,
     ) -> Result<(SolvePath, KrylovReport), MechanicsError> {
-        let (cholesky, krylov) = (&mut self.cholesky, &mut self.krylov);
-        let factor = self.preconditioner.as_ref().map_or(operator.factor(), |kept| &kept.factor);
-        let product = |x: &[Vector3<f64>], y: &mut [Vector3<f64>]| apply(operator, stiffness_mn_per_mm, x, y);
-        let mut precondition = |columns: &mut [Vec<Vector3<f64>>]| factor.solve_in_place(columns, cholesky);
-        if stiffness_mn_per_mm.iter().all(is_symmetric) {
-            match conjugate_gradients(&product, &mut precondition, columns, limits, krylov)? {
+        let SolveSettings { relative_tolerance, iteration_limit, .. } = self.settings;
+        let limits = KrylovLimits { relative_tolerance, iteration_limit };
+        let (direct, single) = (&mut self.direct, &mut self.single);
+        let factor = self.preconditioner.as_ref().and_then(|kept| kept.factor.as_ref());
+        let mut precondition = |columns: &mut [Vec<Vector3<f64>>]| match factor {
+            Some(factor) => factor.solve_in_place(columns, single),
+            None => operator.factor().solve_in_place(columns, direct),
+        };
+        if is_symmetric {
+            match conjugate_gradients(product, &mut precondition, columns, &self.reference_norms, limits, &mut self.krylov)? {
                 ConjugateGradientOutcome::Converged(report) => return Ok((SolvePath::ConjugateGradients, report)),
                 ConjugateGradientOutcome::NegativeCurvature => {}
             }
         }
-        let report = gmres(&product, &mut precondition, columns, limits, krylov)?;
+        let report = gmres(product, &mut precondition, columns, &self.reference_norms, limits, &mut self.krylov)?;
         Ok((SolvePath::Gmres, report))
     }
 
     /// Factorises K̃ + sym⁺(K_img) if there is no preconditioner for this operator or the last one served badly.
     fn prepare_preconditioner(&mut self, operator: &StepOperator, stiffness_mn_per_mm: &[Matrix3<f64>]) -> Result<bool, MechanicsError> {
-        let kept = self.preconditioner.take().filter(|kept| {
-            kept.step_s == operator.step_s() && std::sync::Arc::ptr_eq(kept.factor.structure(), operator.factor().structure())
-        });
-        let mut preconditioner = match kept {
-            Some(kept) if !kept.is_stale => {
+        let kept = self
+            .preconditioner
+            .take()
+            .filter(|kept| kept.step_s == operator.step_s() && Arc::ptr_eq(kept.matrix.pattern(), operator.matrix().pattern()));
+        let (mut matrix, factor) = match kept {
+            Some(kept) if kept.excess < self.settings.excess_iterations => {
                 self.preconditioner = Some(kept);
                 return Ok(false);
             }
-            Some(kept) => kept,
-            None => Preconditioner {
-                matrix: operator.matrix().clone(),
-                factor: operator.factor().clone(),
-                is_stale: false,
-                step_s: operator.step_s(),
-            },
+            Some(kept) => (kept.matrix, kept.factor),
+            None => (operator.matrix().clone(), None),
         };
-        preconditioner.matrix.copy_from(operator.matrix());
+        matrix.copy_from(operator.matrix());
         for (vertex, block) in stiffness_mn_per_mm.iter().enumerate().filter(|(_, block)| **block != Matrix3::zeros()) {
-            preconditioner.matrix.add_to_diagonal(vertex, &positive_part(block));
+            matrix.add_to_diagonal(vertex, &positive_part(block));
         }
-        preconditioner.factor.refactorise(&preconditioner.matrix, &mut self.cholesky)?;
-        preconditioner.is_stale = false;
-        self.preconditioner = Some(preconditioner);
+        let factorised = match factor {
+            Some(mut factor) => factor.refactorise(&matrix, &mut self.single).map(|()| factor),
+            None => CholeskyFactor::new(Arc::clone(operator.factor().structure()), &matrix, &mut self.single),
+        };
+        let factor = match factorised {
+            Ok(factor) => Some(factor),
+            Err(LinearSolveError::NotPositiveDefinite { .. }) => None,
+            Err(error) => return Err(error.into()),
+        };
+        let step_s = operator.step_s();
+        self.preconditioner = Some(Preconditioner { matrix, factor, kept_floor: None, excess: 0, step_s, is_fresh: true });
         Ok(true)
     }
+}
+
+impl Preconditioner {
+    fn served(&mut self, iteration_count: usize) {
+        if std::mem::take(&mut self.is_fresh) {
+            return;
+        }
+        let floor = self.kept_floor.map_or(iteration_count, |floor| floor.min(iteration_count));
+        self.kept_floor = Some(floor);
+        self.excess += iteration_count - floor;
+    }
+}
+
+impl Guesses {
+    /// Subtracts A times the last response, scaled so that the least is left.
+    fn subtract(&mut self, product: &Product<'_>, columns: &mut [Vec<Vector3<f64>>]) {
+        self.weights.clear();
+        self.responses.resize_with(self.responses.len().max(columns.len()), Vec::new);
+        for (column, guess) in columns.iter_mut().zip(&self.responses) {
+            if guess.len() != column.len() {
+                self.weights.push(0.0);
+                continue;
+            }
+            self.product.resize(column.len(), Vector3::zeros());
+            product(guess, &mut self.product);
+            let (overlap, square) =
+                self.product.iter().zip(column.iter()).fold((0.0, 0.0), |(o, s), (a, g)| (o + a.dot(g), s + a.norm_squared()));
+            let weight = if square > 0.0 && (overlap / square).is_finite() { overlap / square } else { 0.0 };
+            column.iter_mut().zip(&self.product).for_each(|(column, product)| *column -= product * weight);
+            self.weights.push(weight);
+        }
+    }
+
+    /// Adds to the corrections what was subtracted, and keeps the sums.
+    fn add_and_keep(&mut self, columns: &mut [Vec<Vector3<f64>>]) {
+        for ((column, guess), weight) in columns.iter_mut().zip(&mut self.responses).zip(&self.weights) {
+            if guess.len() == column.len() {
+                column.iter_mut().zip(guess.iter()).for_each(|(column, guess)| *column += guess * *weight);
+            }
+            guess.clear();
+            guess.extend_from_slice(column);
+        }
+    }
+}
+
+fn check_responses(count: usize, responses: &[Vec<Vector3<f64>>]) -> Result<(), MechanicsError> {
+    responses.iter().try_for_each(|response| check_size("responses, one vector a vertex", count, response.len()))
+}
+
+fn norm(field: &[Vector3<f64>]) -> f64 {
+    field.iter().map(|v| v.norm_squared()).sum::<f64>().sqrt()
 }
 
 /// (K̃ + K_img) x.

@@ -5,19 +5,23 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, Vector3};
 
 use super::myocardium::check_size;
-use super::{MechanicsError, MotionState, Myocardium, StepSystem};
+use super::scheme::Coefficients;
+use super::{MechanicsError, MotionState, Myocardium, StepSystem, TimeScheme};
 use crate::numerics::{BlockMatrix, CholeskyFactor, CholeskyWorkspace};
 
-/// Backward Euler with a fixed step h:
+/// A fixed step h of a [`TimeScheme`]. For backward Euler
 ///
 /// $$\tilde K = \frac{M}{h^2} + \frac{C}{h} + K + S, \qquad
 /// F = \frac{M}{h^2}(y + h v) + \frac{C}{h}\,y + K x + S a + F_{ext}$$
 ///
-/// with the springs S towards their anchors a. $\tilde K$ is constant, and factorised once.
+/// with the springs S towards their anchors a; generalised-α has other factors of M and C and their history on the right.
+/// $\tilde K$ is constant, and factorised once.
 #[derive(Debug)]
 pub struct StepOperator {
     myocardium: Arc<Myocardium>,
     step_s: f64,
+    scheme: TimeScheme,
+    coefficients: Coefficients,
     matrix: BlockMatrix,
     damping: BlockMatrix,
     /// K x + S_p x, mN: the elastic constants on the right.
@@ -26,19 +30,26 @@ pub struct StepOperator {
 }
 
 impl StepOperator {
-    /// Assembles and factorises the step matrix.
+    /// Assembles and factorises the step matrix of backward Euler.
     ///
     /// # Errors
-    /// [`MechanicsError::Property`] for a step that is not positive, [`MechanicsError::Solve`] if the matrix is not positive definite.
+    /// As [`StepOperator::with_scheme`].
     pub fn new(myocardium: Arc<Myocardium>, step_s: f64) -> Result<Self, MechanicsError> {
-        if !(step_s.is_finite() && step_s > 0.0) {
-            return Err(MechanicsError::Property { property: "step_s", value: step_s, requirement: "finite and positive" });
-        }
+        Self::with_scheme(myocardium, step_s, TimeScheme::BackwardEuler)
+    }
+
+    /// Assembles and factorises the step matrix of a scheme.
+    ///
+    /// # Errors
+    /// [`MechanicsError::Property`] for a step that is not positive or a spectral radius outside 0 to 1,
+    /// [`MechanicsError::Solve`] if the matrix is not positive definite.
+    pub fn with_scheme(myocardium: Arc<Myocardium>, step_s: f64, scheme: TimeScheme) -> Result<Self, MechanicsError> {
+        let coefficients = scheme.coefficients(step_s)?;
         let damping = damping_matrix(&myocardium);
         let mut matrix = myocardium.stiffness().clone();
-        matrix.add_scaled(1.0 / step_s, &damping);
+        matrix.add_scaled(coefficients.damping_factor(), &damping);
         for (vertex, mass_kg) in myocardium.vertex_mass_kg().iter().enumerate() {
-            matrix.add_to_diagonal(vertex, &(Matrix3::identity() * (mass_kg / (step_s * step_s))));
+            matrix.add_to_diagonal(vertex, &(Matrix3::identity() * (mass_kg * coefficients.mass_factor())));
         }
         for (vertex, block) in myocardium.base().iter().chain(myocardium.pericardium_springs().iter()) {
             matrix.add_to_diagonal(vertex, block);
@@ -49,7 +60,7 @@ impl StepOperator {
             rest_force_mn[vertex] += block * myocardium.rest_mm()[vertex];
         }
         let factor = CholeskyFactor::new(Arc::clone(myocardium.structure()), &matrix, &mut CholeskyWorkspace::default())?;
-        Ok(Self { myocardium, step_s, matrix, damping, rest_force_mn, factor })
+        Ok(Self { myocardium, step_s, scheme, coefficients, matrix, damping, rest_force_mn, factor })
     }
 
     /// The tissue.
@@ -60,6 +71,11 @@ impl StepOperator {
     /// The step h, s.
     pub fn step_s(&self) -> f64 {
         self.step_s
+    }
+
+    /// The scheme.
+    pub fn scheme(&self) -> TimeScheme {
+        self.scheme
     }
 
     /// A system of the right size, all zero.
@@ -84,14 +100,16 @@ impl StepOperator {
         let count = tissue.vertex_count();
         check_size("positions, one a vertex", count, state.position_mm.len())?;
         check_size("velocities, one a vertex", count, state.velocity_mm_per_s.len())?;
+        check_size("accelerations, one a vertex", count, state.acceleration_mm_per_s2.len())?;
+        check_size("algorithmic accelerations, one a vertex", count, state.algorithmic_acceleration_mm_per_s2.len())?;
         check_size("forces, one a vertex", count, system.force_mn.len())?;
         check_size("stiffness blocks, one a vertex", count, system.stiffness_mn_per_mm.len())?;
         system.stiffness_mn_per_mm.fill(Matrix3::zeros());
         system.force_mn.copy_from_slice(&self.rest_force_mn);
-        self.damping.multiply_add(1.0 / self.step_s, &state.position_mm, &mut system.force_mn);
-        let moving = state.position_mm.iter().zip(&state.velocity_mm_per_s).zip(tissue.vertex_mass_kg());
-        for (force, ((y, v), mass_kg)) in system.force_mn.iter_mut().zip(moving) {
-            *force += (y + v * self.step_s) * (mass_kg / (self.step_s * self.step_s));
+        let damped: Vec<Vector3<f64>> = (0..count).map(|vertex| self.coefficients.damping_on_the_right(state, vertex)).collect();
+        self.damping.multiply_add(1.0, &damped, &mut system.force_mn);
+        for (vertex, (force, mass_kg)) in system.force_mn.iter_mut().zip(tissue.vertex_mass_kg()).enumerate() {
+            *force += self.coefficients.inertia_on_the_right(state, vertex) * *mass_kg;
         }
         if let Some(anchor_mm) = base_anchor_mm {
             check_size("base anchors, one a base vertex", tissue.base_vertices().len(), anchor_mm.len())?;
@@ -103,15 +121,9 @@ impl StepOperator {
         Ok(())
     }
 
-    /// The state at the step's end, whose positions have been solved for: $v^{t+h} = (Y^{t+h} - Y^t)/h$.
+    /// The state at the step's end, whose positions have been solved for; for backward Euler $v^{t+h} = (Y^{t+h} - Y^t)/h$.
     pub fn advance(&self, state: &MotionState, position_mm: Vec<Vector3<f64>>) -> MotionState {
-        let rate = |end: &[Vector3<f64>], start: &[Vector3<f64>]| -> Vec<Vector3<f64>> {
-            end.iter().zip(start).map(|(end, start)| (end - start) / self.step_s).collect()
-        };
-        let velocity_mm_per_s = rate(&position_mm, &state.position_mm);
-        let acceleration_mm_per_s2 = rate(&velocity_mm_per_s, &state.velocity_mm_per_s);
-        let algorithmic_acceleration_mm_per_s2 = acceleration_mm_per_s2.clone();
-        MotionState { position_mm, velocity_mm_per_s, acceleration_mm_per_s2, algorithmic_acceleration_mm_per_s2 }
+        self.coefficients.advance(state, position_mm)
     }
 
     /// $\tilde K$, kPa·mm.

@@ -10,6 +10,7 @@ use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{LltError, LltRegularization};
 use faer::sparse::linalg::cholesky::{CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
+use faer::traits::RealField;
 use faer::{Conj, MatMut, Par, Side, Spec};
 use nalgebra::Vector3;
 
@@ -72,20 +73,48 @@ impl fmt::Debug for CholeskyStructure {
     }
 }
 
-/// Scratch memory of factorisations and solves; grows to the largest use and is then kept.
-pub struct CholeskyWorkspace {
-    memory: MemBuffer,
-    lower_values: Vec<f64>,
-    columns: Vec<f64>,
+/// The precision of a factor: `f64`, or `f32` for preconditioners, which halves the time of a solve.
+pub trait FactorScalar: RealField + Copy {
+    /// Rounds.
+    fn from_double(value: f64) -> Self;
+    /// Widens.
+    fn to_double(self) -> f64;
 }
 
-impl Default for CholeskyWorkspace {
+impl FactorScalar for f64 {
+    fn from_double(value: f64) -> Self {
+        value
+    }
+
+    fn to_double(self) -> f64 {
+        self
+    }
+}
+
+impl FactorScalar for f32 {
+    fn from_double(value: f64) -> Self {
+        value as f32
+    }
+
+    fn to_double(self) -> f64 {
+        f64::from(self)
+    }
+}
+
+/// Scratch memory of factorisations and solves; grows to the largest use and is then kept.
+pub struct CholeskyWorkspace<T = f64> {
+    memory: MemBuffer,
+    lower_values: Vec<T>,
+    columns: Vec<T>,
+}
+
+impl<T> Default for CholeskyWorkspace<T> {
     fn default() -> Self {
         Self { memory: MemBuffer::new(faer::dyn_stack::StackReq::EMPTY), lower_values: Vec::new(), columns: Vec::new() }
     }
 }
 
-impl fmt::Debug for CholeskyWorkspace {
+impl<T> fmt::Debug for CholeskyWorkspace<T> {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.debug_struct("CholeskyWorkspace").field("bytes", &self.memory.len()).finish()
     }
@@ -93,12 +122,12 @@ impl fmt::Debug for CholeskyWorkspace {
 
 /// The factor of one matrix.
 #[derive(Debug, Clone)]
-pub struct CholeskyFactor {
+pub struct CholeskyFactor<T = f64> {
     structure: Arc<CholeskyStructure>,
-    values: Vec<f64>,
+    values: Vec<T>,
 }
 
-impl CholeskyFactor {
+impl<T: FactorScalar> CholeskyFactor<T> {
     /// Factorises a symmetric positive definite matrix; its lower triangle is read.
     ///
     /// # Errors
@@ -106,9 +135,9 @@ impl CholeskyFactor {
     pub fn new(
         structure: Arc<CholeskyStructure>,
         matrix: &BlockMatrix,
-        workspace: &mut CholeskyWorkspace,
+        workspace: &mut CholeskyWorkspace<T>,
     ) -> Result<Self, LinearSolveError> {
-        let values = vec![0.0; structure.stored_count()];
+        let values = vec![T::from_double(0.0); structure.stored_count()];
         let mut factor = Self { structure, values };
         factor.refactorise(matrix, workspace)?;
         Ok(factor)
@@ -123,7 +152,7 @@ impl CholeskyFactor {
     ///
     /// # Errors
     /// As [`CholeskyFactor::new`].
-    pub fn refactorise(&mut self, matrix: &BlockMatrix, workspace: &mut CholeskyWorkspace) -> Result<(), LinearSolveError> {
+    pub fn refactorise(&mut self, matrix: &BlockMatrix, workspace: &mut CholeskyWorkspace<T>) -> Result<(), LinearSolveError> {
         let structure = &*self.structure;
         let expected = structure.pattern.block_count();
         let found = matrix.blocks().len();
@@ -132,7 +161,7 @@ impl CholeskyFactor {
         }
         fill_lower(matrix, &mut workspace.lower_values);
         let params = Spec::default();
-        let request = structure.symbolic.factorize_numeric_llt_scratch::<f64>(SEQUENTIAL, params);
+        let request = structure.symbolic.factorize_numeric_llt_scratch::<T>(SEQUENTIAL, params);
         let memory = grown(&mut workspace.memory, request);
         let lower = SparseColMatRef::new(structure.lower.as_ref(), &workspace.lower_values);
         structure
@@ -152,7 +181,7 @@ impl CholeskyFactor {
     pub fn solve_in_place(
         &self,
         right_hand_sides: &mut [Vec<Vector3<f64>>],
-        workspace: &mut CholeskyWorkspace,
+        workspace: &mut CholeskyWorkspace<T>,
     ) -> Result<(), LinearSolveError> {
         let unknown_count = self.structure.symbolic.nrows();
         let column_count = right_hand_sides.len();
@@ -165,12 +194,12 @@ impl CholeskyFactor {
         }
         let columns = &mut workspace.columns;
         columns.clear();
-        columns.extend(right_hand_sides.iter().flat_map(|column| column.iter().flat_map(|v| [v.x, v.y, v.z])));
-        let request = self.structure.symbolic.solve_in_place_scratch::<f64>(column_count, SEQUENTIAL);
+        columns.extend(right_hand_sides.iter().flat_map(|column| column.iter().flat_map(|v| [v.x, v.y, v.z].map(T::from_double))));
+        let request = self.structure.symbolic.solve_in_place_scratch::<T>(column_count, SEQUENTIAL);
         let memory = grown(&mut workspace.memory, request);
         let view = MatMut::from_column_major_slice_mut(columns, unknown_count, column_count);
         LltRef::new(&self.structure.symbolic, &self.values).solve_in_place_with_conj(Conj::No, view, SEQUENTIAL, memory);
-        let solved = columns.chunks_exact(3).map(|c| Vector3::new(c[0], c[1], c[2]));
+        let solved = columns.chunks_exact(3).map(|c| Vector3::new(c[0].to_double(), c[1].to_double(), c[2].to_double()));
         for (target, value) in right_hand_sides.iter_mut().flat_map(|column| column.iter_mut()).zip(solved) {
             *target = value;
         }
@@ -227,7 +256,7 @@ fn lower_unknowns(pattern: &BlockPattern, vertex: usize, axis: usize) -> impl It
 }
 
 /// Values of the lower triangle by columns. Symmetry turns column (vertex, axis) into row `axis` of the blocks of block row `vertex`.
-fn fill_lower(matrix: &BlockMatrix, values: &mut Vec<f64>) {
+fn fill_lower<T: FactorScalar>(matrix: &BlockMatrix, values: &mut Vec<T>) {
     values.clear();
     let pattern = matrix.pattern();
     let mut first = 0;
@@ -244,7 +273,7 @@ fn fill_lower(matrix: &BlockMatrix, values: &mut Vec<f64>) {
                 } else {
                     0
                 };
-                values.extend((start..3).map(|row_axis| block[(axis, row_axis)]));
+                values.extend((start..3).map(|row_axis| T::from_double(block[(axis, row_axis)])));
             }
         }
     }
@@ -301,7 +330,7 @@ mod tests {
             let matrix = grid_matrix(edge);
             let count = edge.pow(3);
             let structure = Arc::new(CholeskyStructure::new(Arc::clone(matrix.pattern())).unwrap());
-            let mut workspace = CholeskyWorkspace::default();
+            let mut workspace = CholeskyWorkspace::<f64>::default();
             let factor = CholeskyFactor::new(structure, &matrix, &mut workspace).unwrap();
             let first: Vec<Vector3<f64>> = (0..count).map(|v| Vector3::new(v as f64, 1.0, (v as f64).cos())).collect();
             let second: Vec<Vector3<f64>> = (0..count).map(|v| Vector3::new(-1.0, (v as f64).sin(), 0.1)).collect();
@@ -319,6 +348,22 @@ mod tests {
         }
     }
 
+    /// Single precision leaves an error of its rounding, times a small condition number: a preconditioner, not a solver.
+    #[test]
+    fn a_factor_in_single_precision_solves_to_its_rounding() {
+        let matrix = grid_matrix(5);
+        let structure = Arc::new(CholeskyStructure::new(Arc::clone(matrix.pattern())).unwrap());
+        let rhs: Vec<Vector3<f64>> = (0..125).map(|v| Vector3::new(v as f64, 1.0, (v as f64).cos())).collect();
+        let (mut single, mut double) = ([rhs.clone()], [rhs]);
+        let mut workspace = CholeskyWorkspace::<f32>::default();
+        CholeskyFactor::new(Arc::clone(&structure), &matrix, &mut workspace).unwrap().solve_in_place(&mut single, &mut workspace).unwrap();
+        let mut workspace = CholeskyWorkspace::<f64>::default();
+        CholeskyFactor::new(structure, &matrix, &mut workspace).unwrap().solve_in_place(&mut double, &mut workspace).unwrap();
+        let scale = double[0].iter().map(Vector3::norm).fold(0.0, f64::max);
+        let error = single[0].iter().zip(&double[0]).map(|(s, d)| (s - d).norm()).fold(0.0, f64::max) / scale;
+        assert!(error > 1e-9 && error < 1e-5, "{error}");
+    }
+
     #[test]
     fn an_indefinite_matrix_is_refused_with_the_guilty_vertex() {
         for edge in [2, 6] {
@@ -326,7 +371,7 @@ mod tests {
             let guilty = edge.pow(3) / 2;
             matrix.add_to_diagonal(guilty, &(Matrix3::identity() * -1e4));
             let structure = Arc::new(CholeskyStructure::new(Arc::clone(matrix.pattern())).unwrap());
-            let error = CholeskyFactor::new(structure, &matrix, &mut CholeskyWorkspace::default()).unwrap_err();
+            let error = CholeskyFactor::<f64>::new(structure, &matrix, &mut CholeskyWorkspace::default()).unwrap_err();
             assert_eq!(error, LinearSolveError::NotPositiveDefinite { vertex: guilty });
         }
     }

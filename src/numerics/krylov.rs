@@ -15,7 +15,7 @@ pub(super) type Precondition<'a> = dyn FnMut(&mut [Vec<Vector3<f64>>]) -> Result
 /// When to stop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KrylovLimits {
-    /// A column has converged when its residual norm is below this fraction of its right-hand side's norm.
+    /// A column has converged when its residual norm is below this fraction of its reference norm.
     pub relative_tolerance: f64,
     /// Iterations of any column.
     pub iteration_limit: usize,
@@ -26,7 +26,7 @@ pub struct KrylovLimits {
 pub struct KrylovReport {
     /// Iterations of the slowest column.
     pub iteration_count: usize,
-    /// Largest relative residual over the columns.
+    /// Largest residual norm over reference norm.
     pub relative_residual: f64,
 }
 
@@ -53,13 +53,15 @@ pub struct KrylovWorkspace {
 
 #[derive(Debug, Clone, Copy, Default)]
 struct ColumnState {
-    rhs_norm: f64,
+    reference_norm: f64,
     residual_norm: f64,
     rho: f64,
     is_done: bool,
 }
 
-/// Solves A x = b in place for symmetric positive definite A and preconditioner.
+/// Solves A x = b in place for symmetric positive definite A and preconditioner. A column has converged when its residual is
+/// below `relative_tolerance` times its entry of `reference_norms`; a reference that is not the norm of b itself serves
+/// corrections of a guess.
 ///
 /// # Errors
 /// [`LinearSolveError::NotConverged`] and [`LinearSolveError::NotFinite`]; the right-hand sides are then untouched.
@@ -67,10 +69,11 @@ pub fn conjugate_gradients(
     apply: &Apply<'_>,
     precondition: &mut Precondition<'_>,
     right_hand_sides: &mut [Field],
+    reference_norms: &[f64],
     limits: KrylovLimits,
     work: &mut KrylovWorkspace,
 ) -> Result<ConjugateGradientOutcome, LinearSolveError> {
-    work.start(right_hand_sides)?;
+    work.start(right_hand_sides, reference_norms, limits)?;
     let count = right_hand_sides.len();
     let mut iteration_count = 0;
     while work.columns[..count].iter().any(|column| !column.is_done) {
@@ -92,7 +95,7 @@ pub fn conjugate_gradients(
             if !state.residual_norm.is_finite() {
                 return Err(LinearSolveError::NotFinite { right_hand_side: column });
             }
-            state.is_done = state.residual_norm <= limits.relative_tolerance * state.rhs_norm;
+            state.is_done = state.residual_norm <= limits.relative_tolerance * state.reference_norm;
         }
     }
     let report = work.finish(right_hand_sides, iteration_count);
@@ -112,7 +115,8 @@ struct Arnoldi {
     step_count: usize,
 }
 
-/// Solves A x = b in place for any nonsingular A, preconditioned from the right, restarted every 40 directions.
+/// Solves A x = b in place for any nonsingular A, preconditioned from the right, restarted every 40 directions; converged as in
+/// [`conjugate_gradients`].
 ///
 /// # Errors
 /// [`LinearSolveError::NotConverged`] and [`LinearSolveError::NotFinite`]; the right-hand sides are then untouched.
@@ -120,10 +124,11 @@ pub fn gmres(
     apply: &Apply<'_>,
     precondition: &mut Precondition<'_>,
     right_hand_sides: &mut [Field],
+    reference_norms: &[f64],
     limits: KrylovLimits,
     work: &mut KrylovWorkspace,
 ) -> Result<KrylovReport, LinearSolveError> {
-    work.start(right_hand_sides)?;
+    work.start(right_hand_sides, reference_norms, limits)?;
     let count = right_hand_sides.len();
     work.arnoldi.resize_with(count.max(work.arnoldi.len()), Arnoldi::default);
     let mut iteration_count = 0;
@@ -145,7 +150,7 @@ pub fn gmres(
             if !state.residual_norm.is_finite() {
                 return Err(LinearSolveError::NotFinite { right_hand_side: column });
             }
-            state.is_done = state.residual_norm <= limits.relative_tolerance * state.rhs_norm;
+            state.is_done = state.residual_norm <= limits.relative_tolerance * state.reference_norm;
         }
         if iteration_count == limits.iteration_limit && work.columns[..count].iter().any(|column| !column.is_done) {
             return Err(work.not_converged(count, iteration_count, limits));
@@ -155,13 +160,16 @@ pub fn gmres(
 }
 
 impl KrylovWorkspace {
-    fn start(&mut self, right_hand_sides: &[Field]) -> Result<(), LinearSolveError> {
+    fn start(&mut self, right_hand_sides: &[Field], reference_norms: &[f64], limits: KrylovLimits) -> Result<(), LinearSolveError> {
         let count = right_hand_sides.len();
+        if reference_norms.len() != count {
+            return Err(LinearSolveError::Size { what: "reference norms", expected: count, found: reference_norms.len() });
+        }
         for fields in [&mut self.solution, &mut self.residual, &mut self.direction, &mut self.preconditioned] {
             fields.resize_with(count.max(fields.len()), Vec::new);
         }
         self.columns.resize(count.max(self.columns.len()), ColumnState::default());
-        for (column, rhs) in right_hand_sides.iter().enumerate() {
+        for (column, (rhs, &reference_norm)) in right_hand_sides.iter().zip(reference_norms).enumerate() {
             self.product.resize(rhs.len(), Vector3::zeros());
             self.solution[column].clear();
             self.solution[column].resize(rhs.len(), Vector3::zeros());
@@ -169,11 +177,12 @@ impl KrylovWorkspace {
             self.preconditioned[column].resize(rhs.len(), Vector3::zeros());
             self.residual[column].clear();
             self.residual[column].extend_from_slice(rhs);
-            let norm = dot(rhs, rhs).sqrt();
-            if !norm.is_finite() {
+            let residual_norm = norm(rhs);
+            if !(residual_norm.is_finite() && reference_norm.is_finite()) {
                 return Err(LinearSolveError::NotFinite { right_hand_side: column });
             }
-            self.columns[column] = ColumnState { rhs_norm: norm, residual_norm: norm, rho: 0.0, is_done: norm == 0.0 };
+            let is_done = residual_norm <= limits.relative_tolerance * reference_norm;
+            self.columns[column] = ColumnState { reference_norm, residual_norm, rho: 0.0, is_done };
         }
         Ok(())
     }
@@ -206,7 +215,7 @@ impl KrylovWorkspace {
         state.rho = rho;
         add_scaled(&mut self.solution[column], alpha, p);
         add_scaled(&mut self.residual[column], -alpha, &self.product);
-        state.residual_norm = dot(&self.residual[column], &self.residual[column]).sqrt();
+        state.residual_norm = norm(&self.residual[column]);
         true
     }
 
@@ -231,7 +240,7 @@ impl KrylovWorkspace {
             slot += 1;
             let residual_norm = self.arnoldi[column].extend(&mut self.product);
             // A NaN closes the column too; it is found when the true residual is formed.
-            *open = residual_norm > 0.5 * limits.relative_tolerance * self.columns[column].rhs_norm;
+            *open = residual_norm > 0.5 * limits.relative_tolerance * self.columns[column].reference_norm;
         }
         Ok(())
     }
@@ -256,13 +265,13 @@ impl KrylovWorkspace {
             for ((r, b), ax) in self.residual[column].iter_mut().zip(&right_hand_sides[column]).zip(&self.product) {
                 *r = b - ax;
             }
-            self.columns[column].residual_norm = dot(&self.residual[column], &self.residual[column]).sqrt();
+            self.columns[column].residual_norm = norm(&self.residual[column]);
         }
         Ok(())
     }
 
     fn not_converged(&self, count: usize, iteration_count: usize, limits: KrylovLimits) -> LinearSolveError {
-        let relative = |column: &ColumnState| column.residual_norm / column.rhs_norm.max(f64::MIN_POSITIVE);
+        let relative = |column: &ColumnState| column.residual_norm / column.reference_norm.max(f64::MIN_POSITIVE);
         let (right_hand_side, relative_residual) = self.columns[..count]
             .iter()
             .map(relative)
@@ -277,8 +286,8 @@ impl KrylovWorkspace {
         for (column, rhs) in right_hand_sides.iter_mut().enumerate() {
             rhs.copy_from_slice(&self.solution[column]);
             let state = self.columns[column];
-            if state.rhs_norm > 0.0 {
-                relative_residual = relative_residual.max(state.residual_norm / state.rhs_norm);
+            if state.reference_norm > 0.0 {
+                relative_residual = relative_residual.max(state.residual_norm / state.reference_norm);
             }
         }
         KrylovReport { iteration_count, relative_residual }
@@ -311,7 +320,7 @@ impl Arnoldi {
             *entry = dot(product, vector);
             add_scaled(product, -*entry, vector);
         }
-        let norm = dot(product, product).sqrt();
+        let norm = norm(product);
         for (row, &(cosine, sine)) in self.rotations.iter().enumerate() {
             let (upper, lower) = (column[row], column[row + 1]);
             column[row] = cosine * upper + sine * lower;
@@ -349,6 +358,10 @@ fn dot(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
 }
 
+fn norm(a: &[Vector3<f64>]) -> f64 {
+    dot(a, a).sqrt()
+}
+
 fn add_scaled(sum: &mut [Vector3<f64>], factor: f64, add: &[Vector3<f64>]) {
     for (sum, add) in sum.iter_mut().zip(add) {
         *sum += add * factor;
@@ -380,6 +393,10 @@ mod tests {
         vec![field(0.3), vec![Vector3::zeros(); COUNT], field(1.1)]
     }
 
+    fn norms() -> Vec<f64> {
+        columns().iter().map(|column| norm(column)).collect()
+    }
+
     fn residual(skew: f64, solution: &[Vector3<f64>], rhs: &[Vector3<f64>]) -> f64 {
         let mut product = vec![Vector3::zeros(); COUNT];
         apply(skew, solution, &mut product);
@@ -397,14 +414,14 @@ mod tests {
             };
             let product = |x: &[Vector3<f64>], y: &mut [Vector3<f64>]| apply(skew, x, y);
             if skew == 0.0 {
-                let outcome = conjugate_gradients(&product, &mut precondition, &mut solved, LIMITS, &mut work).unwrap();
+                let outcome = conjugate_gradients(&product, &mut precondition, &mut solved, &norms(), LIMITS, &mut work).unwrap();
                 assert!(matches!(outcome, ConjugateGradientOutcome::Converged(_)));
             } else {
-                gmres(&product, &mut precondition, &mut solved, LIMITS, &mut work).unwrap();
+                gmres(&product, &mut precondition, &mut solved, &norms(), LIMITS, &mut work).unwrap();
             }
             assert!(solved[1].iter().all(|v| *v == Vector3::zeros()));
             for (solution, rhs) in solved.iter().zip(&columns()) {
-                assert!(residual(skew, solution, rhs) <= 2e-10 * dot(rhs, rhs).sqrt());
+                assert!(residual(skew, solution, rhs) <= 2e-10 * norm(rhs));
             }
         }
     }
@@ -420,13 +437,13 @@ mod tests {
             }
         };
         let mut solved = columns();
-        let report = gmres(&product, &mut |_| Ok(()), &mut solved, LIMITS, &mut KrylovWorkspace::default()).unwrap();
+        let report = gmres(&product, &mut |_| Ok(()), &mut solved, &norms(), LIMITS, &mut KrylovWorkspace::default()).unwrap();
         assert!(report.iteration_count > RESTART, "no restart: {report:?}");
         for (solution, rhs) in solved.iter().zip(&columns()) {
             let mut applied = vec![Vector3::zeros(); COUNT];
             product(solution, &mut applied);
             let error = applied.iter().zip(rhs).map(|(p, b)| (p - b).norm_squared()).sum::<f64>().sqrt();
-            assert!(error <= 2e-10 * dot(rhs, rhs).sqrt());
+            assert!(error <= 2e-10 * norm(rhs));
         }
     }
 
@@ -436,7 +453,7 @@ mod tests {
             y.iter_mut().zip(x).enumerate().for_each(|(vertex, (y, x))| *y = x * (diagonal(vertex) - 10.5));
         };
         let mut solved = columns();
-        let outcome = conjugate_gradients(&product, &mut |_| Ok(()), &mut solved, LIMITS, &mut KrylovWorkspace::default());
+        let outcome = conjugate_gradients(&product, &mut |_| Ok(()), &mut solved, &norms(), LIMITS, &mut KrylovWorkspace::default());
         assert_eq!(outcome, Ok(ConjugateGradientOutcome::NegativeCurvature));
         assert_eq!(solved, columns());
     }

@@ -9,7 +9,7 @@ mod statistics;
 mod taylor;
 
 pub use error::LinearSolveError;
-pub use factor::{CholeskyFactor, CholeskyStructure, CholeskyWorkspace};
+pub use factor::{CholeskyFactor, CholeskyStructure, CholeskyWorkspace, FactorScalar};
 pub use krylov::{ConjugateGradientOutcome, KrylovLimits, KrylovReport, KrylovWorkspace, conjugate_gradients, gmres};
 pub use quadratic_program::{QpError, QpSolution, QuadraticProgram};
 pub use sparse::{BlockMatrix, BlockPattern};
