@@ -145,3 +145,101 @@ fn the_table_of_parameters_is_the_documented_one() {
         "docs/parameters.md is not what `cardiotwin parameters` prints; write it anew with `cardiotwin parameters > docs/parameters.md`"
     );
 }
+
+/// A free beat of a coarse heart, in a second.
+const BEAT: &str = "kind = \"simulate\"\n[anatomy]\nedge_length_mm = 12.0\n[anatomy.idealised_lv]\n[mechanics]\nstep_s = 0.01\n";
+
+/// Names in a folder, ascending.
+fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<String> =
+        std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+/// A folder for results that does not exist yet.
+fn fresh_folder(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("interface").join(name);
+    let _ = std::fs::remove_dir_all(&folder);
+    folder
+}
+
+#[test]
+fn a_free_beat_leaves_its_files_and_says_what_was_found() {
+    let (file, folder) = (study("beat", BEAT), fresh_folder("beat_results"));
+    let answer = cardiotwin(&["run", file.to_str().unwrap(), "-o", folder.to_str().unwrap()]);
+    assert_eq!(answer.code, 0, "{}", answer.err);
+    assert!(answer.out.starts_with("Left ventricle: EDV ") && answer.out.contains("converged; results are in "), "{}", answer.out);
+    let figures = ["pressure_volume_lv.png", "pressures_lv.png", "volume_lv.png"];
+    for name in ["curves.csv", "frames.csv", "heart.pvd", "summary.json"].iter().chain(&figures) {
+        assert!(folder.join(name).is_file(), "{name} is missing in {:?}", names(&folder));
+    }
+    let curves = std::fs::read_to_string(folder.join("curves.csv")).unwrap();
+    let columns =
+        "time_s,phase_lv,phase_rv,volume_lv_ml,volume_rv_ml,pressure_lv_kpa,pressure_rv_kpa,pressure_aorta_kpa,pressure_pulmonary_kpa,";
+    assert!(curves.starts_with(columns), "{}", curves.lines().next().unwrap());
+    let summary: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(folder.join("summary.json")).unwrap()).unwrap();
+    assert_eq!(summary["kind"], "simulate");
+    assert_eq!(summary["status"], "converged");
+    assert!(summary["ejection_fraction_lv"].as_f64().is_some_and(|fraction| (0.3..0.8).contains(&fraction)), "{summary}");
+    assert_eq!(summary["provenance"]["study_file"], "beat/study.toml");
+    assert!(names(&folder).iter().all(|name| !name.contains("tmp")), "{:?}", names(&folder));
+}
+
+#[test]
+fn results_do_not_depend_on_the_number_of_threads() {
+    let file = study("threads", BEAT);
+    let curves = |threads: &str| {
+        let folder = fresh_folder(&format!("threads_{threads}"));
+        let few = ["--set", "output.figures=false", "--set", "output.meshes=false", "--quiet"];
+        let start = ["run", file.to_str().unwrap(), "-o", folder.to_str().unwrap(), "--threads", threads];
+        let answer = cardiotwin(&[&start[..], &few].concat());
+        assert_eq!((answer.code, answer.out.as_str(), answer.err.as_str()), (0, "", ""));
+        std::fs::read(folder.join("curves.csv")).unwrap()
+    };
+    assert!(curves("1") == curves("4"));
+}
+
+#[test]
+fn an_image_that_is_none_is_named_and_nothing_is_left() {
+    let text = "kind = \"simulate\"\n[anatomy]\nlabels = \"labels.nii.gz\"\n";
+    let (file, folder) = (study("no_image", text), fresh_folder("no_image_results"));
+    std::fs::write(file.with_file_name("labels.nii.gz"), "this is no image").unwrap();
+    let answer = cardiotwin(&["run", file.to_str().unwrap(), "-o", folder.to_str().unwrap()]);
+    assert_eq!((answer.code, answer.out.as_str()), (2, ""), "{}", answer.err);
+    assert!(answer.err.contains("error: ") && answer.err.contains("labels.nii.gz"), "{}", answer.err);
+    assert!(!folder.join("summary.json").exists());
+}
+
+#[test]
+fn a_folder_that_cannot_be_made_fails_the_run() {
+    let file = study("no_folder", BEAT);
+    let below_a_file = file.join("results");
+    let answer = cardiotwin(&["run", file.to_str().unwrap(), "-o", below_a_file.to_str().unwrap(), "-q"]);
+    assert_eq!(answer.code, 1, "{}", answer.err);
+    assert!(answer.err.contains("cannot make the folder") && answer.err.contains("because: "), "{}", answer.err);
+}
+
+/// A beat that would take minutes ends soon after Ctrl-C, with exit code 130, and what it found is written.
+#[cfg(unix)]
+#[test]
+fn ctrl_c_stops_a_run_that_writes_what_it_has() {
+    use std::io::{BufRead, BufReader};
+    let (file, folder) = (study("interrupted", BEAT), fresh_folder("interrupted_results"));
+    let endless = ["--set", "mechanics.step_s=0.0001", "--set", "mechanics.beats=500", "--set", "output.meshes=false"];
+    let mut run = std::process::Command::new(assert_cmd::cargo::cargo_bin("cardiotwin"))
+        .args(["run", file.to_str().unwrap(), "-o", folder.to_str().unwrap()])
+        .args(endless)
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(run.stderr.take().unwrap()).lines().map(Result::unwrap);
+    assert!(lines.any(|line| line.contains("beating")), "the run never began to beat");
+    let signal = std::process::Command::new("kill").args(["-INT", &run.id().to_string()]).status().unwrap();
+    assert!(signal.success());
+    assert!(lines.any(|line| line.contains("stopping at the next step")));
+    assert_eq!(run.wait().unwrap().code(), Some(130));
+    let summary = std::fs::read_to_string(folder.join("summary.json")).unwrap();
+    assert!(summary.contains("\"status\": \"stopped\""), "{summary}");
+}

@@ -30,7 +30,7 @@ pub struct MontagePanel {
     pub origin_mm: [f64; 2],
     /// Edge of a pixel, mm.
     pub spacing_mm: [f64; 2],
-    /// Lines on it.
+    /// Lines on it, drawn in this order.
     pub contours: Vec<Contour>,
 }
 
@@ -173,7 +173,9 @@ fn draw_head(area: &Area, figure: &Montage, layout: &Layout) -> Drawn {
 
 /// Draws a contour, cut where it leaves its panel.
 fn draw_contour(area: &Area, contour: &Contour, frame: &Frame, corner: (i32, i32), size: (u32, u32)) -> Drawn {
-    let ink = PALETTE[contour.surface % PALETTE.len()].stroke_width(px(2) + 1);
+    // Where two contours lie on each other, the first still shows on both sides of the second.
+    let width = if contour.surface == 0 { px(4) } else { px(2) - 1 };
+    let ink = PALETTE[contour.surface % PALETTE.len()].stroke_width(width);
     let limits = [f64::from(size.0), f64::from(size.1)];
     let points: Vec<[f64; 2]> = contour.points_mm.iter().map(|&point| frame.to_px(point)).collect();
     for piece in inside_pieces(&points, limits) {

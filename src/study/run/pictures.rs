@@ -40,7 +40,7 @@ pub(super) fn beat(plan: &Plan, clock: &Clock, trajectory: &Trajectory, further:
         pressure_volume_loop(&folder.join(format!("pressure_volume_{suffix}.png")), &figure)?;
         let curves = vec![
             Curve::new(format!("{name} cavity"), Look::Simulated, &times_s, &pressure_kpa),
-            Curve::new(artery, Look::Tracked, &times_s, &of(|c| c.arterial_pressure_kpa)),
+            Curve::new(artery, Look::Artery, &times_s, &of(|c| c.arterial_pressure_kpa)),
             Curve::new("atrium", Look::Other, &times_s, &of(|c| c.atrial_pressure_kpa)),
         ];
         let phases = bands(&rows);
