@@ -235,7 +235,8 @@ fn nice_step(span: f64, parts: u32) -> f64 {
 pub(super) fn tick(value: f64) -> String {
     let rounded = (value * 1e6).round() / 1e6;
     let rounded = if rounded == 0.0 { 0.0 } else { rounded };
-    if rounded != 0.0 && (rounded.abs() >= 1e5 || rounded.abs() < 1e-3) { format!("{rounded:e}") } else { format!("{rounded}") }
+    let text = if rounded != 0.0 && !(1e-3..1e5).contains(&rounded.abs()) { format!("{rounded:e}") } else { format!("{rounded}") };
+    text.replace('-', "−")
 }
 
 /// Draws curves in their looks.
@@ -297,6 +298,7 @@ mod tests {
     fn ticks_carry_no_noise() {
         assert_eq!(tick(0.1 + 0.2), "0.3");
         assert_eq!(tick(-0.0), "0");
+        assert_eq!(tick(-20.0), "−20");
         assert_eq!(tick(250.0), "250");
     }
 }

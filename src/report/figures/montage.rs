@@ -54,6 +54,8 @@ pub struct Montage {
 const GAP: u32 = 6;
 const LEFT: u32 = 56;
 const SIZE: u32 = 270;
+/// Steps of grey that are shown; more are hardly seen and make the file three times as large, as noise does not compress.
+const GREYS: f64 = 85.0;
 const PALETTE: [RGBColor; 5] = [ORANGE, SKY_BLUE, BLUISH_GREEN, REDDISH_PURPLE, VERMILION];
 
 /// Draws all panels.
@@ -235,7 +237,7 @@ fn paint_greys(pixels: &mut [u8], width: usize, corner: (i32, i32), size: (u32, 
             let u = (mm[0] - panel.origin_mm[0]) / panel.spacing_mm[0];
             let v = (mm[1] - panel.origin_mm[1]) / panel.spacing_mm[1];
             let grey = match bicubic(panel, u, v) {
-                Some(value) => (255.0 * (value - window.0) / span).round().clamp(0.0, 255.0) as u8,
+                Some(value) => (GREYS * (value - window.0) / span).round().clamp(0.0, GREYS) as u8 * (255 / GREYS as u8),
                 None => 0,
             };
             let at = 3 * ((corner.1 as usize + row) * width + corner.0 as usize + column);

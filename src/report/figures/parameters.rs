@@ -29,10 +29,12 @@ pub struct ParameterInterval {
     pub truth: Option<f64>,
 }
 
-const WIDTH: u32 = 1340;
 const ROW: u32 = 112;
-const SCALE_LEFT: u32 = 570;
-const SCALE_RIGHT: u32 = 1080;
+/// Length of every scale, and what stands right of it.
+const SCALE: u32 = 610;
+const RIGHT: u32 = 260;
+/// Width of a letter, generously.
+const LETTER: u32 = 15;
 
 /// Draws one row a parameter.
 ///
@@ -40,11 +42,13 @@ const SCALE_RIGHT: u32 = 1080;
 /// [`ReportError`] if the figure cannot be drawn or written.
 pub fn parameter_intervals(file: &Path, title: &str, rows: &[ParameterInterval]) -> Result<(), ReportError> {
     let height = 130 + ROW * rows.len().max(1) as u32;
-    picture(file, "the parameters", (WIDTH, height), |area| {
+    let letters = rows.iter().map(|row| row.name.chars().count() as u32).max().unwrap_or(0);
+    let left = (LETTER * letters + 70).clamp(300, 1000);
+    picture(file, "the parameters", (left + SCALE + RIGHT, height), |area| {
         write(area, title, &bold(TITLE, &BLACK_INK), HPos::Left, (ipx(28), ipx(36)))?;
         draw_key(area, rows.iter().any(|row| row.truth.is_some()), rows.iter().any(|row| row.interval.is_some()))?;
         for (number, row) in rows.iter().enumerate() {
-            draw_row(area, row, ipx(130 + ROW * number as u32 + ROW / 2 - 12))?;
+            draw_row(area, row, left, ipx(130 + ROW * number as u32 + ROW / 2 - 12))?;
         }
         Ok(())
     })
@@ -71,13 +75,13 @@ fn draw_key(area: &Area, has_truth: bool, has_interval: bool) -> Drawn {
     Ok(())
 }
 
-fn draw_row(area: &Area, row: &ParameterInterval, y: i32) -> Drawn {
+fn draw_row(area: &Area, row: &ParameterInterval, left: u32, y: i32) -> Drawn {
     let span = if row.upper > row.lower { row.upper - row.lower } else { 1.0 };
     let place = |value: f64| {
         let part = ((value - row.lower) / span).clamp(0.0, 1.0);
-        ipx(SCALE_LEFT) + (part * f64::from(px(SCALE_RIGHT - SCALE_LEFT))).round() as i32
+        ipx(left) + (part * f64::from(px(SCALE))).round() as i32
     };
-    write(area, &row.name, &text(TEXT, &BLACK_INK), HPos::Right, (ipx(SCALE_LEFT - 40), y))?;
+    write(area, &row.name, &text(TEXT, &BLACK_INK), HPos::Right, (ipx(left - 40), y))?;
     area.draw(&PathElement::new(vec![(place(row.lower), y), (place(row.upper), y)], RULE.stroke_width(px(3))))?;
     for bound in [row.lower, row.upper] {
         let x = place(bound);
@@ -92,7 +96,7 @@ fn draw_row(area: &Area, row: &ParameterInterval, y: i32) -> Drawn {
     if let Some(truth) = row.truth {
         draw_truth(area, place(truth), y)?;
     }
-    let x = ipx(SCALE_RIGHT + 40);
+    let x = ipx(left + SCALE + 40);
     let value = format!("{} {}", short(row.value), if row.unit == "1" { "" } else { &row.unit });
     let style = text(TEXT, &BLACK_INK);
     match row.interval {

@@ -97,7 +97,8 @@ pub(super) fn picture_on(
     let shown = averaged(&pixels, width as usize, height as usize);
     write_atomically(file, |out| {
         use image::ImageEncoder;
-        let encoder = image::codecs::png::PngEncoder::new(out);
+        use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+        let encoder = PngEncoder::new_with_quality(out, CompressionType::Best, FilterType::Adaptive);
         encoder.write_image(&shown, width, height, image::ColorType::Rgb8).map_err(std::io::Error::other)
     })
 }
