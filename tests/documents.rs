@@ -55,7 +55,7 @@ fn every_equation_has_its_file_and_its_test() {
     }
 }
 
-/// `[Name1234]` in a text; documentation comments write `\\[Name1234\\]`, which is no link.
+/// `[Name1234]` in a text; documentation comments write `\[Name1234\]`, which is no link.
 fn citations(text: &str) -> BTreeSet<String> {
     let is_key = |key: &str| {
         let (name, year) = key.split_at(key.len().saturating_sub(4));

@@ -176,7 +176,7 @@ fn draw_head(area: &Area, figure: &Montage, layout: &Layout) -> Drawn {
 /// Draws a contour, cut where it leaves its panel.
 fn draw_contour(area: &Area, contour: &Contour, frame: &Frame, corner: (i32, i32), size: (u32, u32)) -> Drawn {
     // Where two contours lie on each other, the first still shows on both sides of the second.
-    let width = if contour.surface == 0 { px(4) } else { px(2) - 1 };
+    let width = if contour.surface == 0 { px(4) - 1 } else { px(2) };
     let ink = PALETTE[contour.surface % PALETTE.len()].stroke_width(width);
     let limits = [f64::from(size.0), f64::from(size.1)];
     let points: Vec<[f64; 2]> = contour.points_mm.iter().map(|&point| frame.to_px(point)).collect();
