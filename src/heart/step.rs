@@ -81,7 +81,7 @@ impl HeartModel {
         let ports = self.ports(state);
         let before_mm3: Vec<f64> = state.ventricles.iter().map(|ventricle| ventricle.volume_mm3).collect();
         workspace.predict(state, step_s);
-        let mut solve = self.solve_free(workspace).map_err(mechanics)?;
+        let mut solve = self.solve_free(state, workspace).map_err(mechanics)?;
         let mut defect_mm3 = f64::INFINITY;
         for round_count in 1..=ROUND_LIMIT {
             if round_count > 1 {
@@ -127,11 +127,11 @@ impl HeartModel {
     }
 
     /// y₀ and the first W together: one pass over the factor.
-    fn solve_free(&self, workspace: &mut StepWorkspace) -> Result<SolveReport, MechanicsError> {
+    fn solve_free(&self, state: &HeartState, workspace: &mut StepWorkspace) -> Result<SolveReport, MechanicsError> {
+        workspace.guess_free(state);
         self.write_gradients(workspace);
         self.write_pressure_loads(workspace);
-        let StepWorkspace { solver, system, free_mm, trial_mm, yields_mm_per_kpa, .. } = workspace;
-        free_mm.copy_from_slice(trial_mm);
+        let StepWorkspace { solver, system, free_mm, yields_mm_per_kpa, .. } = workspace;
         solver.solve(&self.operator, system, free_mm, yields_mm_per_kpa)
     }
 
@@ -234,6 +234,16 @@ impl StepWorkspace {
         let moving = state.motion.position_mm.iter().zip(&state.motion.velocity_mm_per_s);
         for (trial, (y, v)) in self.trial_mm.iter_mut().zip(moving) {
             *trial = y + v * step_s;
+        }
+    }
+
+    /// Where the search for y₀ starts: Y* − Σ p W with the pressures and yields of the last step. A poor guess costs iterations only.
+    fn guess_free(&mut self, state: &HeartState) {
+        self.free_mm.copy_from_slice(&self.trial_mm);
+        for (ventricle, yields) in state.ventricles.iter().zip(&self.yields_mm_per_kpa) {
+            for (free, yielded) in self.free_mm.iter_mut().zip(yields) {
+                *free -= yielded * ventricle.pressure_kpa;
+            }
         }
     }
 
