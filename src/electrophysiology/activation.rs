@@ -1,19 +1,11 @@
-//! The activation map: a multi-front, label-correcting march over the tetrahedra, and its derivative.
-//!
-//! The earliest vertex of the front is taken off and its tetrahedra are solved for their other corners; whoever is reached earlier than
-//! before goes (back) on the front. With isotropy this is fast marching; with anisotropy a vertex may be taken off before all it depends
-//! on is known, and putting it back is the recursive correction of \[Konukoglu2007\] (their CHANGED list) in one queue. What is reached
-//! is the fixed point of a monotone map from above, so it depends neither on the numbering nor on the order of the visits.
+//! The activation map: times, the stencils they came from, and their derivative in the speeds.
 
 use nalgebra::Vector3;
 
-use super::element::{Arrival, Element};
-use super::front::Front;
+use super::march::March;
+use super::ray::RayLeg;
 use super::{ActivationError, Conduction};
 use crate::mesh::TetMesh;
-
-/// Relative fall of a time below which it counts as unchanged; well above rounding, far below any error of the mesh.
-const UNCHANGED: f64 = 1e-13;
 
 /// Sweeps after which the tangent of a map whose stencils depend on each other in circles is taken as it is.
 const TANGENT_SWEEP_LIMIT: usize = 200;
@@ -28,14 +20,21 @@ pub struct Onset {
 }
 
 /// Where the time of a vertex came from.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Stencil {
     /// The vertex is an onset, and nothing reached it earlier.
     Onset {
         /// Its number in the list of onsets.
         onset: usize,
     },
-    /// td = Σ wᵢ tdᵢ + travel time inside a tetrahedron; unused corners repeat a used one with weight 0.
+    /// td = onset time + travel times along a straight ray.
+    Ray {
+        /// The onset the ray comes from.
+        onset: usize,
+        /// The tetrahedra it crosses.
+        legs: Vec<RayLeg>,
+    },
+    /// td = Σ wᵢ tdᵢ + travel time inside a tetrahedron.
     Arrival {
         /// The tetrahedron the front came through.
         tetrahedron: usize,
@@ -48,11 +47,25 @@ pub enum Stencil {
     },
 }
 
+/// How the neighbourhood of an onset is solved.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ActivationSettings {
+    /// Length of the straight rays around a single onset (one without onsets next to it), in mean edge lengths of the mesh; 0 for the march
+    /// alone, which is first order there up to a logarithm.
+    pub ray_length_edges: f64,
+}
+
+impl Default for ActivationSettings {
+    fn default() -> Self {
+        Self { ray_length_edges: 6.0 }
+    }
+}
+
 /// Depolarisation times td of all vertices and the stencils they came from.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ActivationMap {
-    times_s: Vec<f64>,
-    stencils: Vec<Stencil>,
+    pub(super) times_s: Vec<f64>,
+    pub(super) stencils: Vec<Stencil>,
 }
 
 /// Solves the eikonal equation from the onsets. Several onsets may start at different times; fronts that meet stop each other, and an
@@ -61,17 +74,24 @@ pub struct ActivationMap {
 /// # Errors
 /// [`ActivationError`] if there is no onset, an onset or a field does not fit the mesh, or a part of the mesh cannot be reached.
 pub fn activate(mesh: &TetMesh, conduction: &Conduction, onsets: &[Onset]) -> Result<ActivationMap, ActivationError> {
+    activate_with(mesh, conduction, onsets, &ActivationSettings::default())
+}
+
+/// [`activate`] with settings of one's own.
+///
+/// # Errors
+/// As [`activate`].
+pub fn activate_with(
+    mesh: &TetMesh,
+    conduction: &Conduction,
+    onsets: &[Onset],
+    settings: &ActivationSettings,
+) -> Result<ActivationMap, ActivationError> {
     check(mesh, conduction, onsets)?;
     let mut march = March::new(mesh, conduction);
-    for (onset, &Onset { vertex, time_s }) in onsets.iter().enumerate() {
-        if time_s < march.times_s[vertex] {
-            march.reach(vertex, time_s, Source::Onset { onset: onset as u32 });
-        }
-    }
-    while let Some(vertex) = march.front.pop() {
-        march.leave(mesh, vertex);
-    }
-    march.finish(mesh)
+    march.start(conduction, onsets, settings);
+    march.run();
+    march.finish(conduction, onsets)
 }
 
 fn check(mesh: &TetMesh, conduction: &Conduction, onsets: &[Onset]) -> Result<(), ActivationError> {
@@ -92,105 +112,6 @@ fn check(mesh: &TetMesh, conduction: &Conduction, onsets: &[Onset]) -> Result<()
         }
     }
     Ok(())
-}
-
-/// Where a tentative time came from.
-#[derive(Debug, Clone, Copy)]
-enum Source {
-    Nowhere,
-    Onset { onset: u32 },
-    Tetrahedron { tetrahedron: u32, weights: [f64; 4] },
-}
-
-/// The march in progress.
-struct March {
-    elements: Vec<Element>,
-    /// Start of each vertex's holders, and one past the last.
-    holder_starts: Vec<u32>,
-    /// Tetrahedron and corner of every vertex's holders.
-    holders: Vec<(u32, u8)>,
-    times_s: Vec<f64>,
-    sources: Vec<Source>,
-    front: Front,
-}
-
-impl March {
-    fn new(mesh: &TetMesh, conduction: &Conduction) -> Self {
-        let elements = (0..mesh.tetrahedron_count()).map(|t| Element::new(mesh.corners_mm(t), conduction, t)).collect();
-        let (holder_starts, holders) = holders_of(mesh);
-        let vertex_count = mesh.vertex_count();
-        let (times_s, sources) = (vec![f64::INFINITY; vertex_count], vec![Source::Nowhere; vertex_count]);
-        Self { elements, holder_starts, holders, times_s, sources, front: Front::new(vertex_count) }
-    }
-
-    fn reach(&mut self, vertex: usize, time_s: f64, source: Source) {
-        self.times_s[vertex] = time_s;
-        self.sources[vertex] = source;
-        self.front.advance(vertex, time_s);
-    }
-
-    /// Carries the front from a vertex to the other corners of its tetrahedra.
-    fn leave(&mut self, mesh: &TetMesh, vertex: usize) {
-        for holder in self.holder_starts[vertex] as usize..self.holder_starts[vertex + 1] as usize {
-            let (tetrahedron, from) = self.holders[holder];
-            let corners = &mesh.tetrahedra()[tetrahedron as usize];
-            let element = self.elements[tetrahedron as usize];
-            for target in (0..4).filter(|&corner| corner != from as usize) {
-                let known_s = self.times_s[corners[target]];
-                let bound_s = if known_s.is_finite() { known_s - UNCHANGED * known_s.abs() } else { known_s };
-                let times_s = corners.map(|corner| self.times_s[corner]);
-                if let Some(Arrival { time_s, weights }) = element.arrive(&times_s, target, from as usize, bound_s) {
-                    self.reach(corners[target], time_s, Source::Tetrahedron { tetrahedron, weights });
-                }
-            }
-        }
-    }
-
-    fn finish(self, mesh: &TetMesh) -> Result<ActivationMap, ActivationError> {
-        let unreached = || self.times_s.iter().enumerate().filter(|&(_, time_s)| !time_s.is_finite()).map(|(vertex, _)| vertex);
-        if let Some(vertex) = unreached().next() {
-            return Err(ActivationError::Unreachable { vertex, unreached_count: unreached().count() });
-        }
-        let stencils = (0..mesh.vertex_count()).filter_map(|vertex| self.stencil_of(mesh, vertex)).collect();
-        Ok(ActivationMap { times_s: self.times_s, stencils })
-    }
-
-    /// None only for a vertex that was never reached.
-    fn stencil_of(&self, mesh: &TetMesh, vertex: usize) -> Option<Stencil> {
-        let (tetrahedron, weights) = match self.sources[vertex] {
-            Source::Nowhere => return None,
-            Source::Onset { onset } => return Some(Stencil::Onset { onset: onset as usize }),
-            Source::Tetrahedron { tetrahedron, weights } => (tetrahedron as usize, weights),
-        };
-        let corners = mesh.tetrahedra()[tetrahedron];
-        let face = (0..4).filter(|&corner| corners[corner] != vertex);
-        let (mut vertices, mut face_weights, mut start_s) = ([0; 3], [0.0; 3], 0.0);
-        for (place, corner) in face.enumerate() {
-            (vertices[place], face_weights[place]) = (corners[corner], weights[corner]);
-            start_s += weights[corner] * (self.times_s[corners[corner]] - self.times_s[vertex]);
-        }
-        Some(Stencil::Arrival { tetrahedron, vertices, weights: face_weights, travel_s: -start_s })
-    }
-}
-
-/// The tetrahedra of every vertex with the vertex's corner in each, one after the other, and where each vertex's begin.
-fn holders_of(mesh: &TetMesh) -> (Vec<u32>, Vec<(u32, u8)>) {
-    let mut starts = vec![0_u32; mesh.vertex_count() + 1];
-    for &vertex in mesh.tetrahedra().iter().flatten() {
-        starts[vertex + 1] += 1;
-    }
-    for vertex in 0..mesh.vertex_count() {
-        starts[vertex + 1] += starts[vertex];
-    }
-    let mut next = starts.clone();
-    let mut holders = vec![(0, 0); 4 * mesh.tetrahedron_count()];
-    for (tetrahedron, corners) in mesh.tetrahedra().iter().enumerate() {
-        for (corner, &vertex) in corners.iter().enumerate() {
-            holders[next[vertex] as usize] = (tetrahedron as u32, corner as u8);
-            next[vertex] += 1;
-        }
-    }
-    (starts, holders)
 }
 
 impl ActivationMap {
@@ -229,11 +150,15 @@ impl ActivationMap {
         for _ in 0..TANGENT_SWEEP_LIMIT {
             let (mut change_s, mut largest_s) = (0.0_f64, 0.0_f64);
             for &vertex in &order {
-                let value_s = match self.stencils[vertex] {
-                    Stencil::Onset { onset } => rate(onset_rate_s, onset),
+                let value_s = match &self.stencils[vertex] {
+                    Stencil::Onset { onset } => rate(onset_rate_s, *onset),
+                    Stencil::Ray { onset, legs } => {
+                        let slowing_s: f64 = legs.iter().map(|leg| leg.travel_s * rate(log_speed_rate, leg.tetrahedron)).sum();
+                        rate(onset_rate_s, *onset) - slowing_s
+                    }
                     Stencil::Arrival { tetrahedron, vertices, weights, travel_s } => {
-                        let carried_s: f64 = vertices.iter().zip(&weights).map(|(&v, w)| w * tangent_s[v]).sum();
-                        carried_s - travel_s * rate(log_speed_rate, tetrahedron)
+                        let carried_s: f64 = vertices.iter().zip(weights).map(|(&v, w)| w * tangent_s[v]).sum();
+                        carried_s - travel_s * rate(log_speed_rate, *tetrahedron)
                     }
                 };
                 change_s = change_s.max((value_s - tangent_s[vertex]).abs());

@@ -4,7 +4,8 @@
 //! $$T_w = \min_{\lambda \ge 0,\ \sum\lambda = 1}\ \sum_i \lambda_i T_i + \sqrt{e^T D^{-1} e}/v, \qquad e = x_w - \sum_i \lambda_i x_i.$$
 //! The problem is convex. An inner minimiser solves $v^2\,p\cdot Dp = 1$ for $p = \sum_k T_k \nabla\varphi_k$, a quadratic in $T_w$, and is
 //! the minimum exactly if its characteristic $Dp$ comes from inside the face (all weights $\lambda \ge 0$: causality). Otherwise the
-//! minimum lies on an edge of the face or on a corner.
+//! minimum lies on one of those edges of the face across which the characteristic misses it. Signs of the quadratic tell beforehand,
+//! without a root, whether the present time of the target can be beaten at all.
 
 use nalgebra::Vector3;
 
@@ -22,11 +23,31 @@ pub(super) struct Element {
     edge_s2: [f64; 6],
 }
 
-/// An arrival at a corner: time after the reference and the weights of the face it came through, one a corner.
+/// An arrival at a corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Arrival {
+    /// When, s.
     pub(super) time_s: f64,
+    /// The weights λ of the corners it came through.
     pub(super) weights: [f64; 4],
+}
+
+/// What the inside of a face gives.
+enum Inside {
+    /// A causal arrival.
+    Arrival(Arrival),
+    /// Nothing through this face or its edges can beat the bound.
+    TooLate,
+    /// The characteristic misses the face across the sides opposite to a and to b.
+    Misses { opposite_a: bool, opposite_b: bool },
+}
+
+/// A corner that the front may come through besides the one it is sought from.
+#[derive(Clone, Copy)]
+struct Side {
+    corner: usize,
+    /// Time after the corner sought from, s.
+    delay_s: f64,
 }
 
 impl Element {
@@ -46,83 +67,107 @@ impl Element {
     /// The earliest arrival at corner `target` through points that use corner `from`, if it beats `bound_s`. Infinite times are
     /// corners not reached yet.
     pub(super) fn arrive(&self, times_s: &[f64; 4], target: usize, from: usize, bound_s: f64) -> Option<Arrival> {
-        let [a, b] = remaining(target, from);
         // Relative to the corner the front comes from, so that large clock times cost no digits.
-        let (early_s, bound_s) = (times_s[from], bound_s - times_s[from]);
-        let (time_a, time_b) = (times_s[a] - early_s, times_s[b] - early_s);
-        let arrival = if time_a.is_finite() && time_b.is_finite() {
-            match self.through_face(target, from, a, time_a, b, time_b) {
-                Some(arrival) => Some(arrival),
-                None => {
-                    let [first, second] = [(a, time_a), (b, time_b)].map(|(c, time)| self.through_edge(target, from, c, time));
-                    Some(if second.time_s < first.time_s { second } else { first })
+        let bound_s = bound_s - times_s[from];
+        let [a, b] = remaining(target, from).map(|corner| Side { corner, delay_s: times_s[corner] - times_s[from] });
+        if bound_s <= a.delay_s.min(b.delay_s).min(0.0) {
+            return None;
+        }
+        let arrival = match (a.delay_s.is_finite(), b.delay_s.is_finite()) {
+            (true, true) => match self.through_face(target, from, a, b, bound_s) {
+                Inside::Arrival(arrival) => Some(arrival),
+                Inside::TooLate => None,
+                Inside::Misses { opposite_a, opposite_b } => {
+                    let along_a = opposite_b.then(|| self.through_edge(target, from, a, bound_s)).flatten();
+                    let along_b = opposite_a.then(|| self.through_edge(target, from, b, bound_s)).flatten();
+                    match (along_a, along_b) {
+                        (Some(first), Some(second)) => Some(if second.time_s < first.time_s { second } else { first }),
+                        (first, second) => first.or(second),
+                    }
                 }
-            }
-        } else if time_a.is_finite() {
-            Some(self.through_edge(target, from, a, time_a))
-        } else if time_b.is_finite() {
-            Some(self.through_edge(target, from, b, time_b))
-        } else {
-            Some(self.through_corner(target, from))
+            },
+            (true, false) => self.through_edge(target, from, a, bound_s),
+            (false, true) => self.through_edge(target, from, b, bound_s),
+            (false, false) => Some(self.through_corner(target, from)),
         };
-        arrival.filter(|arrival| arrival.time_s < bound_s).map(|arrival| Arrival { time_s: early_s + arrival.time_s, ..arrival })
+        arrival
+            .filter(|arrival| arrival.time_s < bound_s)
+            .map(|arrival| Arrival { time_s: times_s[from] + arrival.time_s, weights: arrival.weights })
     }
 
-    /// Causal arrival through the inside of the face (from, a, b); times relative to `from`.
-    fn through_face(&self, target: usize, from: usize, a: usize, time_a: f64, b: usize, time_b: f64) -> Option<Arrival> {
-        let k = |i: usize, j: usize| self.coupling_per_s2[EDGE[i][j]];
-        let (k_wf, k_wa, k_wb) = (k(target, from), k(target, a), k(target, b));
-        let (k_fa, k_fb, k_ab) = (k(from, a), k(from, b), k(a, b));
-        let k_ww = -(k_wf + k_wa + k_wb);
-        let k_aa = -(k_wa + k_fa + k_ab);
-        let k_bb = -(k_wb + k_fb + k_ab);
+    fn coupling(&self, i: usize, j: usize) -> f64 {
+        self.coupling_per_s2[EDGE[i][j]]
+    }
+
+    fn squared(&self, i: usize, j: usize) -> f64 {
+        self.edge_s2[EDGE[i][j]]
+    }
+
+    /// Through the inside of the face (from, a, b).
+    fn through_face(&self, target: usize, from: usize, a: Side, b: Side, bound_s: f64) -> Inside {
+        let (k_wf, k_wa, k_wb) = (self.coupling(target, from), self.coupling(target, a.corner), self.coupling(target, b.corner));
+        let (k_fa, k_fb, k_ab) = (self.coupling(from, a.corner), self.coupling(from, b.corner), self.coupling(a.corner, b.corner));
+        let (t_a, t_b) = (a.delay_s, b.delay_s);
+        let (k_ww, k_aa, k_bb) = (-(k_wf + k_wa + k_wb), -(k_wa + k_fa + k_ab), -(k_wb + k_fb + k_ab));
+        let (flux_f, flux_a, flux_b) = (k_fa * t_a + k_fb * t_b, k_aa * t_a + k_ab * t_b, k_ab * t_a + k_bb * t_b);
         // k_ww T² + 2 linear T + constant = 0
-        let linear = k_wa * time_a + k_wb * time_b;
-        let constant = k_aa * time_a * time_a + k_bb * time_b * time_b + 2.0 * k_ab * time_a * time_b - 1.0;
+        let linear = k_wa * t_a + k_wb * t_b;
+        let constant = t_a * flux_a + t_b * flux_b - 1.0;
         let discriminant = linear * linear - k_ww * constant;
         if discriminant.is_nan() || discriminant <= 0.0 {
-            return None;
+            return Inside::Misses { opposite_a: true, opposite_b: true };
+        }
+        if k_ww * bound_s <= -linear || (k_ww * bound_s + 2.0 * linear) * bound_s + constant <= 0.0 {
+            return Inside::TooLate;
         }
         let root = discriminant.sqrt();
         let time_s = (root - linear) / k_ww;
-        let flux_from = k_wf * time_s + k_fa * time_a + k_fb * time_b;
-        let flux_a = k_wa * time_s + k_aa * time_a + k_ab * time_b;
-        let flux_b = k_wb * time_s + k_ab * time_a + k_bb * time_b;
-        if flux_from > 0.0 || flux_a > 0.0 || flux_b > 0.0 {
-            return None;
+        let (m_f, m_a, m_b) = (-k_wf * time_s - flux_f, -k_wa * time_s - flux_a, -k_wb * time_s - flux_b);
+        if m_f < 0.0 || m_a < 0.0 || m_b < 0.0 {
+            return Inside::Misses { opposite_a: m_a < 0.0, opposite_b: m_b < 0.0 };
         }
         let mut weights = [0.0; 4];
-        weights[from] = -flux_from / root;
-        weights[a] = -flux_a / root;
-        weights[b] = -flux_b / root;
-        Some(Arrival { time_s, weights })
+        weights[from] = m_f / root;
+        weights[a.corner] = m_a / root;
+        weights[b.corner] = m_b / root;
+        Inside::Arrival(Arrival { time_s, weights })
     }
 
-    /// Arrival through the edge (from, a), or through the corner `from` if that is earlier. (Through the corner `a` alone is the
-    /// business of the front that leaves `a`.)
-    fn through_edge(&self, target: usize, from: usize, a: usize, time_a: f64) -> Arrival {
-        // T(s) = s T_a + sqrt(α s² + 2 β s + γ) for the point from + s (a − from).
-        let alpha = self.edge_s2[EDGE[from][a]];
-        let gamma = self.edge_s2[EDGE[from][target]];
-        let beta = 0.5 * (self.edge_s2[EDGE[a][target]] - gamma - alpha);
-        let across = alpha - time_a * time_a;
-        if across > 0.0 {
-            let area = (alpha * gamma - beta * beta).max(0.0);
-            let share = (-beta - time_a * (area / across).sqrt()) / alpha;
-            if share > 0.0 && share < 1.0 {
-                let mut weights = [0.0; 4];
-                weights[from] = 1.0 - share;
-                weights[a] = share;
-                return Arrival { time_s: (-beta * time_a + (area * across).sqrt()) / alpha, weights };
-            }
+    /// Through the edge (from, a), or through the corner `from` if that is earlier, unless the bound cannot be beaten. (The way through the
+    /// corner a alone is the business of the front that leaves a.)
+    fn through_edge(&self, target: usize, from: usize, a: Side, bound_s: f64) -> Option<Arrival> {
+        let (l_f, l_a, l_fa) = (self.squared(target, from), self.squared(target, a.corner), self.squared(from, a.corner));
+        let between = 0.5 * (l_f + l_a - l_fa);
+        let area = l_f * l_a - between * between;
+        // l_fa T² − 2 half T + constant = 0, as for the face but times the squared area.
+        let half = (l_f - between) * a.delay_s;
+        let constant = l_f * a.delay_s * a.delay_s - area;
+        let discriminant = half * half - l_fa * constant;
+        if discriminant.is_nan() || discriminant <= 0.0 {
+            return Some(self.through_corner(target, from));
         }
-        self.through_corner(target, from)
+        if l_fa * bound_s <= half || (l_fa * bound_s - 2.0 * half) * bound_s + constant <= 0.0 {
+            return None;
+        }
+        let root = discriminant.sqrt();
+        let time_s = (half + root) / l_fa;
+        let (m_f, m_a) = (l_a * time_s - between * (time_s - a.delay_s), l_f * (time_s - a.delay_s) - between * time_s);
+        if m_f < 0.0 {
+            return None;
+        }
+        if m_a < 0.0 {
+            return Some(self.through_corner(target, from));
+        }
+        let mut weights = [0.0; 4];
+        weights[from] = m_f / root;
+        weights[a.corner] = m_a / root;
+        Some(Arrival { time_s, weights })
     }
 
     fn through_corner(&self, target: usize, from: usize) -> Arrival {
         let mut weights = [0.0; 4];
         weights[from] = 1.0;
-        Arrival { time_s: self.edge_s2[EDGE[from][target]].sqrt(), weights }
+        Arrival { time_s: self.squared(target, from).sqrt(), weights }
     }
 }
 
@@ -169,7 +214,7 @@ mod tests {
             let conduction = Conduction::new(vec![500.0], [1.0, 0.25, 0.11][sample as usize % 3], vec![fibre]).unwrap();
             let element = Element::new(corners, &conduction, 0);
             let times = [0.0, 2e-3 * (2.3 * angle).sin(), 3e-3 * (3.1 * angle).cos(), f64::INFINITY];
-            let arrivals = (0..3).filter_map(|from| element.arrive(&times, 3, from, f64::INFINITY));
+            let arrivals = (0..3).filter_map(|from| element.arrive(&times, 3, from, f64::MAX));
             let earliest = arrivals.map(|arrival| arrival.time_s).fold(f64::INFINITY, f64::min);
             let searched = earliest_by_search(&corners, &times, &conduction);
             assert!((0.0..2e-7).contains(&(searched - earliest + 1e-14)), "sample {sample}: {earliest} s, by search {searched} s");
@@ -182,7 +227,7 @@ mod tests {
         let conduction = Conduction::new(vec![500.0], 0.2, vec![Vector3::new(1.0, 2.0, 0.5)]).unwrap();
         let element = Element::new(corners, &conduction, 0);
         for times in [[0.0, 1e-4, 2e-4, 0.0], [0.0, 2e-3, 1e-4, 0.0], [0.0, 3e-3, 4e-3, 0.0]] {
-            let arrival = element.arrive(&times, 3, 0, f64::INFINITY).unwrap();
+            let arrival = element.arrive(&times, 3, 0, f64::MAX).unwrap();
             let through: Vector3<f64> = (0..3).map(|i| corners[i] * arrival.weights[i]).sum();
             let start: f64 = (0..3).map(|i| times[i] * arrival.weights[i]).sum();
             let expected = start + conduction.travel_time_s(0, &(corners[3] - through));

@@ -9,7 +9,10 @@ mod conduction;
 mod element;
 mod error;
 mod front;
+mod march;
+mod ray;
 
-pub use activation::{ActivationMap, Onset, Stencil, activate, nearest_vertex};
+pub use activation::{ActivationMap, ActivationSettings, Onset, Stencil, activate, activate_with, nearest_vertex};
 pub use conduction::Conduction;
 pub use error::ActivationError;
+pub use ray::RayLeg;
