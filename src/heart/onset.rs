@@ -4,7 +4,8 @@ use nalgebra::Vector3;
 
 use super::{HeartError, Parameter, Parameters};
 use crate::anatomy::{Anatomy, Ventricle};
-use crate::electrophysiology::{Conduction, Onset};
+use crate::electrophysiology::{Conduction, Onset, nearest_vertex};
+use crate::mesh::SurfaceTag;
 
 /// The sites where a beat starts.
 #[derive(Debug, Clone, PartialEq)]
@@ -13,6 +14,10 @@ pub enum OnsetSites {
     /// paraseptal), then, 10 ms later, the walls at the roots of the two papillary muscles. Right: the middle of the free wall, at the
     /// root of its anterior papillary muscle, 5 ms late. Heights along the axis and angles from the septum are chosen.
     Normal,
+    /// The whole endocardium of the left ventricle at once.
+    Endocardium,
+    /// The vertices nearest to these points (world, mm), each with its delay (s) after `onset_time_s`.
+    Points(Vec<(Vector3<f64>, f64)>),
     /// These vertices, each with its delay (s) after `onset_time_s`.
     Vertices(Vec<(usize, f64)>),
 }
@@ -27,10 +32,16 @@ impl OnsetSites {
     /// The onsets on an anatomy, at `onset_time_s` and later.
     pub(super) fn onsets(&self, anatomy: &Anatomy, parameters: &Parameters) -> Vec<Onset> {
         let start_s = parameters[Parameter::OnsetTime];
-        match self {
-            Self::Vertices(sites) => sites.iter().map(|&(vertex, delay_s)| Onset { vertex, time_s: start_s + delay_s }).collect(),
-            Self::Normal => normal_sites(anatomy).map(|(vertex, delay_s)| Onset { vertex, time_s: start_s + delay_s }).collect(),
-        }
+        let sites: Vec<(usize, f64)> = match self {
+            Self::Normal => normal_sites(anatomy).collect(),
+            Self::Endocardium => anatomy.surface.vertices_with(SurfaceTag::EndocardiumLv).into_iter().map(|v| (v, 0.0)).collect(),
+            Self::Points(points) => {
+                let vertices_mm = anatomy.mesh.vertices_mm();
+                points.iter().filter_map(|(point, delay_s)| Some((nearest_vertex(vertices_mm, point)?, *delay_s))).collect()
+            }
+            Self::Vertices(sites) => sites.clone(),
+        };
+        sites.into_iter().map(|(vertex, delay_s)| Onset { vertex, time_s: start_s + delay_s }).collect()
     }
 }
 
@@ -106,4 +117,43 @@ pub(super) fn conduction(anatomy: &Anatomy, parameters: &Parameters) -> Result<C
     let speeds = anatomy.mesh.tetrahedra().iter().map(|corners| if has_face(corners) { layer } else { bulk }).collect();
     let fibres = anatomy.fibre_axes.iter().map(|axes| axes.column(0).into_owned()).collect();
     Ok(Conduction::new(speeds, parameters[Parameter::AnisotropyRatio], fibres)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::heart::idealised_lv::IdealisedLv;
+
+    fn span_s(sites: &OnsetSites, parameters: &Parameters) -> (f64, f64) {
+        let anatomy = IdealisedLv::default().anatomy();
+        let onsets = sites.onsets(&anatomy, parameters);
+        let map = crate::electrophysiology::activate(&anatomy.mesh, &conduction(&anatomy, parameters).unwrap(), &onsets).unwrap();
+        map.span_s()
+    }
+
+    /// A normal left ventricle is activated in 60–90 ms [Durrer1970].
+    #[test]
+    fn a_normal_left_ventricle_is_activated_within_a_normal_time() {
+        let (first_s, last_s) = span_s(&OnsetSites::Normal, &Parameters::default());
+        assert_eq!(first_s, Parameters::default()[Parameter::OnsetTime]);
+        assert!((0.045..0.09).contains(&(last_s - first_s)), "{} ms", (last_s - first_s) * 1e3);
+    }
+
+    /// From the whole endocardium the front crosses a wall of 9.5 mm across the fibres: 9.5/(v√ρ) at most, faster in the first layer.
+    #[test]
+    fn the_endocardium_at_once_leaves_the_wall_to_cross() {
+        let parameters = Parameters::default();
+        let (first_s, last_s) = span_s(&OnsetSites::Endocardium, &parameters);
+        let across_mm_per_s = parameters[Parameter::ConductionVelocity] * parameters[Parameter::AnisotropyRatio].sqrt();
+        assert!(last_s - first_s < 9.6 / across_mm_per_s && last_s - first_s > 4.0 / across_mm_per_s);
+    }
+
+    #[test]
+    fn points_find_their_vertices_and_keep_their_delays() {
+        let anatomy = IdealisedLv::default().anatomy();
+        let point = anatomy.mesh.vertices_mm()[37] + Vector3::repeat(0.01);
+        let onsets = OnsetSites::Points(vec![(point, 0.004)]).onsets(&anatomy, &Parameters::default());
+        let start_s = Parameters::default()[Parameter::OnsetTime];
+        assert_eq!(onsets, [Onset { vertex: 37, time_s: start_s + 0.004 }]);
+    }
 }
