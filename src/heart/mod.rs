@@ -3,6 +3,7 @@
 mod base_motion;
 #[cfg(test)]
 mod beat_tests;
+mod deformation;
 mod error;
 #[cfg(test)]
 mod idealised_lv;
@@ -10,16 +11,21 @@ mod model;
 mod observables;
 mod onset;
 mod parameters;
+mod periodic;
+mod phases;
 mod simulate;
 mod state;
 mod step;
 
 pub use base_motion::BaseMotion;
+pub use deformation::{Deformation, SegmentDeformation, Strain};
 pub use error::{HeartError, StepError};
 pub use model::{HeartModel, ModelSettings, PressureLoad};
 pub use observables::BeatObservables;
 pub use onset::OnsetSites;
 pub use parameters::{OutOfRange, Parameter, ParameterSpec, Parameters, Section};
+pub use periodic::{PeriodicOutcome, Periodicity, simulate_until_periodic};
+pub use phases::{PhaseEvent, phase_events};
 pub use simulate::{FrameState, SimulationPlan, Trajectory, simulate, simulate_from};
 pub use state::{CurveRow, HeartState, VentricleCurve, VentricleState};
 pub use step::{StepOutcome, StepWorkspace};

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{CurveRow, VentricleCurve};
+use super::phases::phase_duration_s;
+use super::{CurveRow, PhaseEvent, VentricleCurve, phase_events};
 use crate::anatomy::Ventricle;
 use crate::circulation::Phase;
 use crate::units::{MS_PER_S, mmhg_from_kpa};
@@ -41,7 +42,7 @@ pub struct BeatObservables {
 impl BeatObservables {
     /// The figures of the rows with `start_s` < t ≤ `start_s` + `period_s`; `None` if the ventricle has fewer than two rows there.
     ///
-    /// A row's phase is that of the step that led to it, so durations are whole steps.
+    /// Durations lie between the events of [`phase_events`], which resolve fractions of a step.
     pub fn of_beat(curves: &[CurveRow], ventricle: Ventricle, start_s: f64, period_s: f64) -> Option<Self> {
         let tolerance_s = 1e-9 * period_s.abs().max(1.0);
         let inside = |time_s: f64| time_s > start_s + tolerance_s && time_s <= start_s + period_s + tolerance_s;
@@ -50,16 +51,15 @@ impl BeatObservables {
         // The row before the beat starts its first step.
         let rows = &curves[first.saturating_sub(1)..first + count];
         let beat: Vec<(f64, VentricleCurve)> = rows.iter().filter_map(|row| Some((row.time_s, row.ventricle(ventricle)?))).collect();
-        if beat.len() < 2 { None } else { Some(Self::of_rows(&beat)) }
+        let events = phase_events(rows, ventricle);
+        if beat.len() < 2 { None } else { Some(Self::of_rows(&beat, &events)) }
     }
 
-    fn of_rows(beat: &[(f64, VentricleCurve)]) -> Self {
+    fn of_rows(beat: &[(f64, VentricleCurve)], events: &[PhaseEvent]) -> Self {
         let largest = |value: fn(&VentricleCurve) -> f64| beat.iter().map(|(_, c)| value(c)).fold(f64::NEG_INFINITY, f64::max);
         let smallest = |value: fn(&VentricleCurve) -> f64| beat.iter().map(|(_, c)| value(c)).fold(f64::INFINITY, f64::min);
-        let duration_ms = |phase: Phase| {
-            let steps = beat.windows(2).filter(|pair| pair[1].1.phase == phase);
-            steps.map(|pair| pair[1].0 - pair[0].0).sum::<f64>() * MS_PER_S
-        };
+        let (first_s, last_s) = (beat[0].0, beat[beat.len() - 1].0);
+        let duration_ms = |phase: Phase| phase_duration_s(events, beat[0].1.phase, phase, first_s, last_s) * MS_PER_S;
         let rate = |pair: &[(f64, VentricleCurve)]| (pair[1].1.pressure_kpa - pair[0].1.pressure_kpa) / (pair[1].0 - pair[0].0);
         let contraction = beat.windows(2).find(|p| p[1].1.phase == Phase::IsovolumetricContraction && p[0].1.phase == Phase::Filling);
         let end_diastolic_kpa = contraction.map_or(beat[0].1.pressure_kpa, |pair| pair[0].1.pressure_kpa);
@@ -91,24 +91,25 @@ mod tests {
     use crate::mechanics::MotionState;
     use crate::units::kpa_from_mmhg;
 
-    /// A beat of trapezia: 140 mL to 56 mL, 8 to 120 mmHg in 50 ms, and phases of 50, 300, 100 and 350 ms in steps of 10 ms.
+    /// A beat of trapezia: 140 mL to 56 mL, 8 to 120 mmHg in 50 ms, and phases of 50, 300, 100 and 350 ms in steps of 10 ms. It fills at
+    /// 4 mmHg from an atrium of 8 mmHg.
     fn trapezoidal_beat() -> Vec<CurveRow> {
         let row = |step: i32| {
             let t = f64::from(step) * 0.01;
             let (phase, volume_ml, pressure_mmhg) = match step {
-                ..=0 => (Phase::Filling, 140.0, 8.0),
+                ..=0 => (Phase::Filling, 140.0, 4.0),
                 1..=5 => (Phase::IsovolumetricContraction, 140.0, 8.0 + 112.0 * t / 0.05),
                 6..=35 => (Phase::Ejection, 140.0 - 84.0 * (t - 0.05) / 0.3, 120.0),
                 36..=45 => (Phase::IsovolumetricRelaxation, 56.0, 120.0 - 112.0 * (t - 0.35) / 0.1),
-                _ => (Phase::Filling, 56.0 + 84.0 * (t - 0.45) / 0.35, 8.0),
+                _ => (Phase::Filling, 56.0 + 84.0 * (t - 0.45) / 0.35, 4.0),
             };
             let ventricle = VentricleState {
                 ventricle: Ventricle::Left,
                 volume_mm3: volume_ml * 1000.0,
                 pressure_kpa: kpa_from_mmhg(pressure_mmhg),
                 capacitor_pressure_kpa: 11.0,
-                arterial_pressure_kpa: 11.0 + t,
-                atrial_pressure_kpa: 1.0,
+                arterial_pressure_kpa: kpa_from_mmhg(120.0),
+                atrial_pressure_kpa: kpa_from_mmhg(8.0),
                 outflow_ml_per_s: 0.0,
                 inflow_ml_per_s: 0.0,
                 phase,
@@ -123,17 +124,19 @@ mod tests {
     #[test]
     fn a_beat_of_known_shape_is_read_as_it_is() {
         let beat = BeatObservables::of_beat(&trapezoidal_beat(), Ventricle::Left, 0.0, 0.8).unwrap();
+        // In the first step the pressure rises from 4 to 30.4 mmHg and passes the atrium's.
+        let shut_ms = 10.0 * 4.0 / 26.4;
         let expected = [
             (beat.end_diastolic_volume_ml, 140.0),
             (beat.end_systolic_volume_ml, 56.0),
             (beat.ejection_fraction, 0.6),
             (beat.pressure_peak_mmhg, 120.0),
-            (beat.pressure_end_diastolic_mmhg, 8.0),
-            (beat.pressure_rate_max_mmhg_per_s, 2240.0),
-            (beat.isovolumetric_contraction_ms, 50.0),
+            (beat.pressure_end_diastolic_mmhg, 4.0),
+            (beat.pressure_rate_max_mmhg_per_s, 2640.0),
+            (beat.isovolumetric_contraction_ms, 50.0 - shut_ms),
             (beat.ejection_ms, 300.0),
             (beat.isovolumetric_relaxation_ms, 100.0),
-            (beat.filling_ms, 350.0),
+            (beat.filling_ms, 350.0 + shut_ms),
         ];
         for (found, expected) in expected {
             assert!((found - expected).abs() < 1e-9 * expected, "{found} {expected}");

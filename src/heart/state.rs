@@ -114,6 +114,13 @@ pub struct VentricleCurve {
 }
 
 impl CurveRow {
+    /// A row without ventricles.
+    #[cfg(test)]
+    pub(super) fn empty(time_s: f64) -> Self {
+        let state = HeartState { time_s, motion: MotionState::at_rest(Vec::new()), ventricles: Vec::new() };
+        state.curve_row()
+    }
+
     /// The columns of one ventricle, if it has them.
     pub fn ventricle(&self, ventricle: Ventricle) -> Option<VentricleCurve> {
         let left = ventricle == Ventricle::Left;
