@@ -16,6 +16,8 @@ mod phases;
 mod simulate;
 mod state;
 mod step;
+#[cfg(test)]
+mod two_ventricle_tests;
 
 pub use base_motion::BaseMotion;
 pub use deformation::{Deformation, SegmentDeformation, Strain};

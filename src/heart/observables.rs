@@ -91,7 +91,7 @@ mod tests {
     use crate::mechanics::MotionState;
     use crate::units::kpa_from_mmhg;
 
-    /// A beat of trapezia: 140 mL to 56 mL, 8 to 120 mmHg in 50 ms, and phases of 50, 300, 100 and 350 ms in steps of 10 ms. It fills at
+    /// A beat of trapezia: 140 mL to 56 mL, 8 to 120 mmHg in 50 ms, 124 while it ejects, and phases of 50, 300, 100 and 350 ms in steps of 10 ms. It fills at
     /// 4 mmHg from an atrium of 8 mmHg.
     fn trapezoidal_beat() -> Vec<CurveRow> {
         let row = |step: i32| {
@@ -99,7 +99,7 @@ mod tests {
             let (phase, volume_ml, pressure_mmhg) = match step {
                 ..=0 => (Phase::Filling, 140.0, 4.0),
                 1..=5 => (Phase::IsovolumetricContraction, 140.0, 8.0 + 112.0 * t / 0.05),
-                6..=35 => (Phase::Ejection, 140.0 - 84.0 * (t - 0.05) / 0.3, 120.0),
+                6..=35 => (Phase::Ejection, 140.0 - 84.0 * (t - 0.05) / 0.3, 124.0),
                 36..=45 => (Phase::IsovolumetricRelaxation, 56.0, 120.0 - 112.0 * (t - 0.35) / 0.1),
                 _ => (Phase::Filling, 56.0 + 84.0 * (t - 0.45) / 0.35, 4.0),
             };
@@ -126,16 +126,18 @@ mod tests {
         let beat = BeatObservables::of_beat(&trapezoidal_beat(), Ventricle::Left, 0.0, 0.8).unwrap();
         // In the first step the pressure rises from 4 to 30.4 mmHg and passes the atrium's.
         let shut_ms = 10.0 * 4.0 / 26.4;
+        // In the first step of relaxation it falls from 124 to 108.8 mmHg and passes the artery's 120.
+        let late_ms = 10.0 * 4.0 / 15.2;
         let expected = [
             (beat.end_diastolic_volume_ml, 140.0),
             (beat.end_systolic_volume_ml, 56.0),
             (beat.ejection_fraction, 0.6),
-            (beat.pressure_peak_mmhg, 120.0),
+            (beat.pressure_peak_mmhg, 124.0),
             (beat.pressure_end_diastolic_mmhg, 4.0),
             (beat.pressure_rate_max_mmhg_per_s, 2640.0),
             (beat.isovolumetric_contraction_ms, 50.0 - shut_ms),
-            (beat.ejection_ms, 300.0),
-            (beat.isovolumetric_relaxation_ms, 100.0),
+            (beat.ejection_ms, 300.0 + late_ms),
+            (beat.isovolumetric_relaxation_ms, 100.0 - late_ms),
             (beat.filling_ms, 350.0 + shut_ms),
         ];
         for (found, expected) in expected {

@@ -36,7 +36,7 @@ pub struct PeriodicOutcome {
 }
 
 /// Beats a heart from its rest at `start_time_s` until two consecutive beats agree, or the limit is reached. The frames are those of the
-/// last beat, at `frame_times_s` after its start.
+/// last beat, at the `frame_times_s` after its start that lie within one period.
 ///
 /// # Errors
 /// The [`StepError`] of the first step that fails.
@@ -52,13 +52,17 @@ pub fn simulate_until_periodic(
     let mut state = model.initial_state(start_time_s);
     let mut curves: Vec<CurveRow> = Vec::new();
     let mut before: Option<Trajectory> = None;
-    let mut beat_count = 0;
+    let mut early_frames = Vec::new();
+    let mut beat_count = 0_usize;
     loop {
-        // The start of a beat is where the last one ended, at most a step after a whole number of periods.
-        let beat_start_s = start_time_s + period_s * beat_count as f64;
-        let frame_times_s = frame_times_s.iter().map(|time_s| beat_start_s + time_s).collect();
-        let plan = SimulationPlan { start_time_s: state.time_s, end_time_s: beat_start_s + period_s, frame_times_s };
-        let beat = simulate_from(model, state, &plan, loads, observer)?;
+        // A beat ends with the step that reaches or passes its end, so that step may hold frames of the next one.
+        let [start_s, end_s] = [beat_count, beat_count + 1].map(|beat| start_time_s + period_s * beat as f64);
+        let within = frame_times_s.iter().filter(|&&time_s| (0.0..period_s).contains(&time_s));
+        let times_s = within.clone().map(|time_s| start_s + time_s).chain(within.map(|time_s| end_s + time_s)).collect();
+        let plan = SimulationPlan { start_time_s: state.time_s, end_time_s: end_s, frame_times_s: times_s };
+        let mut beat = simulate_from(model, state, &plan, loads, observer)?;
+        let late_frames = beat.frames.split_off(beat.frames.partition_point(|frame| frame.time_s < end_s - 1e-9 * period_s));
+        beat.frames.splice(0..0, std::mem::replace(&mut early_frames, late_frames));
         beat_count += 1;
         curves.extend(beat.curves.iter().skip(usize::from(beat_count > 1)));
         let change_ml = before.as_ref().map_or(f64::INFINITY, |before| largest_change_ml(&before.curves, &beat.curves, period_s));
@@ -109,7 +113,10 @@ mod tests {
     fn beats_repeat_and_the_last_one_is_kept() {
         let outcome = run(1.0, 30);
         assert!(outcome.is_periodic && outcome.change_ml <= 1.0 && outcome.beat_count > 1, "{} mL", outcome.change_ml);
-        assert_eq!(outcome.last_beat.frames.len(), 2);
+        let start_s = -0.1 + 0.803 * (outcome.beat_count - 1) as f64;
+        let times: Vec<f64> = outcome.last_beat.frames.iter().map(|frame| frame.time_s - start_s).collect();
+        assert_eq!(times.len(), 2, "{times:?}");
+        assert!((times[0] - 0.0).abs() < 1e-9 && (times[1] - 0.4).abs() < 1e-9, "{times:?}");
         assert!(outcome.curves.windows(2).all(|pair| pair[1].time_s > pair[0].time_s), "no row stands twice");
     }
 
