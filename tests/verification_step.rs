@@ -1,4 +1,4 @@
-//! The step system: backward Euler's amplitude, solves against dense algebra, and what repeated solves may depend on.
+//! The step system: solves against dense algebra, and what repeated solves may depend on.
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a test fails by panicking, and may show its figures")]
 
 use std::sync::Arc;
@@ -183,46 +183,6 @@ fn results_do_not_depend_on_the_number_of_threads() {
         })
     };
     assert_eq!(run(1), run(4));
-}
-
-/// x″ = −ω²x: the norm of (ωq, q̇) shrinks by 1/√(1 + (ωh)²) a step, and by nothing else. q is a mode of the free tissue.
-#[test]
-fn backward_euler_damps_every_mode_by_its_closed_form_factor() {
-    let free = PassiveProperties { damping_mass_per_s: 0.0, damping_stiffness_s: 0.0, pericardium_damping_kpa_s_per_mm: 0.0, ..PROPERTIES };
-    let tissue = tissue(2, &free);
-    let long = StepOperator::new(Arc::clone(&tissue), 1e6).unwrap();
-    let stiffness = dense_of(&long, &long.empty_system());
-    let mass = DVector::from_iterator(3 * tissue.vertex_count(), tissue.vertex_mass_kg().iter().flat_map(|&m| [m; 3]));
-    let scaled = DMatrix::from_fn(mass.len(), mass.len(), |i, j| stiffness[(i, j)] / (mass[i] * mass[j]).sqrt());
-    let modes = scaled.symmetric_eigen();
-    for mode in [0, 20, 60] {
-        let omega_per_s = modes.eigenvalues[mode].sqrt();
-        let shape: Vec<Vector3<f64>> = (0..tissue.vertex_count())
-            .map(|v| modes.eigenvectors.fixed_view::<3, 1>(3 * v, mode) / tissue.vertex_mass_kg()[v].sqrt())
-            .collect();
-        let component =
-            |field: &[Vector3<f64>]| -> f64 { field.iter().zip(&shape).zip(tissue.vertex_mass_kg()).map(|((u, s), m)| u.dot(s) * m).sum() };
-        let norm = |state: &MotionState| {
-            let displacement: Vec<Vector3<f64>> = state.position_mm.iter().zip(tissue.rest_mm()).map(|(y, x)| y - x).collect();
-            (omega_per_s * component(&displacement)).hypot(component(&state.velocity_mm_per_s))
-        };
-        for step_s in [0.001, 0.01] {
-            let operator = StepOperator::new(Arc::clone(&tissue), step_s).unwrap();
-            let amplitude = 1e-4;
-            let position = tissue.rest_mm().iter().zip(&shape).map(|(x, s)| x + s * amplitude).collect();
-            let mut state = MotionState::at_rest(position);
-            let mut system = operator.empty_system();
-            for _ in 0..3 {
-                operator.assemble(&state, None, &mut system).unwrap();
-                let mut position = state.position_mm.clone();
-                StepSolver::default().solve(&operator, &system, &mut position, &mut []).unwrap();
-                let next = operator.advance(&state, position);
-                let expected = 1.0 / 1.0f64.hypot(omega_per_s * step_s);
-                assert!((norm(&next) / norm(&state) / expected - 1.0).abs() < 1e-8, "mode {mode}, step {step_s} s");
-                state = next;
-            }
-        }
-    }
 }
 
 /// Moving all anchors of a tissue that only the base holds moves the tissue: a rigid translation is the equilibrium.

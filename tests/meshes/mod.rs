@@ -1,6 +1,7 @@
-//! Structured meshes that tests and benches of mechanics share: a thick sphere and a block.
+//! What tests and benches of mechanics share: a thick sphere, a block, tissue without surroundings, extrapolation to no edge length.
 #![allow(dead_code, unreachable_pub, clippy::unwrap_used, reason = "every user takes what it needs, and a test fails by panicking")]
 
+use cardiotwin::mechanics::PassiveProperties;
 use cardiotwin::mesh::{SurfaceTag, TaggedSurface, TetMesh};
 use nalgebra::Vector3;
 
@@ -103,4 +104,35 @@ pub fn block(size_mm: Vector3<f64>, cells: [usize; 3]) -> (TetMesh, TaggedSurfac
     let tag = |t: &[usize; 3]| if is_base(t) { SurfaceTag::Base } else { SurfaceTag::Epicardium };
     let surface = TaggedSurface::new(&mesh, mesh.boundary_triangles().iter().map(tag).collect()).unwrap();
     (mesh, surface)
+}
+
+/// Isotropic tissue of 10⁻⁶ kg/mm³ without springs or damping.
+pub fn bare(stiffness_kpa: f64, poisson_ratio: f64) -> PassiveProperties {
+    PassiveProperties {
+        fibre_stiffness_kpa: stiffness_kpa,
+        transverse_stiffness_kpa: stiffness_kpa,
+        poisson_ratio,
+        density_kg_per_mm3: 1e-6,
+        damping_mass_per_s: 0.0,
+        damping_stiffness_s: 0.0,
+        base_stiffness_normal_kpa_per_mm: 0.0,
+        base_stiffness_isotropic_kpa_per_mm: 0.0,
+        pericardium_stiffness_kpa_per_mm: 0.0,
+        pericardium_damping_kpa_s_per_mm: 0.0,
+    }
+}
+
+/// What three meshes, each of half the edge length of the one before, tend to.
+#[derive(Debug, Clone, Copy)]
+pub struct Extrapolation {
+    /// log₂ of the ratio of the two changes: the order at which the value is settling on these meshes.
+    pub order: f64,
+    /// The value at edge length zero, if the error is c h² + d h⁴ (Romberg's extrapolation).
+    pub limit: f64,
+}
+
+/// Extrapolates values on three meshes, coarse to fine.
+pub fn extrapolate([coarse, middle, fine]: [f64; 3]) -> Extrapolation {
+    let [first, second] = [(coarse, middle), (middle, fine)].map(|(before, after)| after + (after - before) / 3.0);
+    Extrapolation { order: ((middle - coarse) / (fine - middle)).log2(), limit: second + (second - first) / 15.0 }
 }
