@@ -34,6 +34,11 @@ const CRATES: &[(&str, &[&str])] = &[
     ("clarabel", &["numerics"]),
     ("nifti", &["image"]),
     ("ndarray", &["image"]),
+    ("flate2", &["image", "mesh"]),
+    ("dicom_core", &["image"]),
+    ("dicom_encoding", &["image"]),
+    ("dicom_object", &["image"]),
+    ("dicom_transfer_syntax_registry", &["image"]),
     ("vtkio", &["mesh", "report"]),
     ("argmin", &["personalisation"]),
     ("plotters", &["report"]),
@@ -52,9 +57,9 @@ const CRATES: &[(&str, &[&str])] = &[
 
 /// Side effects by their words, and where they may happen: rooms, or files of a room.
 const EFFECTS: &[(&str, &[&str])] = &[
-    ("std::fs", &["image/nifti", "image/timing", "mesh/io", "report", "study", "cli"]),
-    ("File::", &["image/nifti", "image/timing", "mesh/io", "report", "study", "cli"]),
-    ("std::io", &["image/nifti", "image/timing", "image/error", "mesh/io", "mesh/error", "report", "study", "cli"]),
+    ("std::fs", &["image/nifti", "image/dicom", "image/timing", "mesh/io", "report", "study", "cli"]),
+    ("File::", &["image/nifti", "image/dicom", "image/timing", "mesh/io", "report", "study", "cli"]),
+    ("std::io", &["image/nifti", "image/dicom", "image/timing", "image/error", "mesh/io", "mesh/error", "report", "study", "cli"]),
     ("println!", &["cli"]),
     ("print!", &["cli"]),
     ("std::env", &["cli"]),

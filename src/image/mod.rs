@@ -2,6 +2,7 @@
 
 mod alignment;
 mod cine;
+mod dicom;
 mod error;
 mod grid;
 mod mask;
@@ -16,6 +17,7 @@ mod volume_curve;
 
 pub use alignment::{SliceShifts, correct_slice_shifts, estimate_slice_shifts};
 pub use cine::CineSequence;
+pub use dicom::{DicomFolder, DicomStack, read_dicom_folder};
 pub use error::ImageError;
 pub use grid::Grid;
 pub use mask::{ApexEnd, BaseCut, FieldOptions, FieldReport, Plane, VentricleCodes, VentricleFields, enclosed_volume_ml, ventricle_fields};

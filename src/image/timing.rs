@@ -35,8 +35,8 @@ struct Sidecar {
 impl CineTiming {
     /// Times from a JSON file beside the image, with the keys `trigger_time_ms_per_slice` (slices × frames, ms after the R wave) and, where
     /// known, `nominal_interval_ms` (heart periods met, ms). Slices taken at different heart periods are brought onto common phases:
-    /// each slice's times are divided by its own period, n/(n−1) times the span of its n frames, and the median over the slices
-    /// is multiplied by the median period.
+    /// each slice's times are divided by its own period (see `slice_periods_ms`), and the median over the slices is multiplied by
+    /// the median period.
     ///
     /// # Errors
     /// [`ImageError::Unreadable`] or [`ImageError::Unusable`].
@@ -66,14 +66,10 @@ impl CineTiming {
                 return Err(format!("the trigger times of slice {slice} do not ascend"));
             }
         }
-        let mut periods_s: Vec<f64> = slices.iter().map(|times| spanned_period(times) / 1000.0).collect();
+        let periods_s: Vec<f64> = slice_periods_ms(slices, nominal_interval_ms).iter().map(|ms| ms / 1000.0).collect();
         let frame_phase =
             |frame: usize| median(slices.iter().zip(&periods_s).map(|(times, period_s)| times[frame] / 1000.0 / period_s).collect());
         let phases: Vec<f64> = (0..frame_count).map(frame_phase).collect();
-        // The scanner's own periods are those of the beats; the spanned ones are rounded by the frame step.
-        if !nominal_interval_ms.is_empty() && nominal_interval_ms.len() == slices.len() {
-            periods_s = nominal_interval_ms.iter().map(|ms| ms / 1000.0).collect();
-        }
         let period_s = median(periods_s.clone());
         let shortest_s = periods_s.iter().copied().fold(f64::INFINITY, f64::min);
         let longest_s = periods_s.iter().copied().fold(0.0, f64::max);
@@ -138,8 +134,24 @@ fn spanned_period(times: &[f64]) -> f64 {
     (times[times.len() - 1] - times[0]) * count / (count - 1.0)
 }
 
+/// The heart period of every slice (ms) of slices × trigger times (ms): the scanner's own where it is known for each slice, else the one
+/// that the frames span, n/(n−1) times their range. Where the periods met say that the frames cover a part of the beat only
+/// (prospective gating), the spanned ones are stretched to them.
+pub(super) fn slice_periods_ms(slices: &[Vec<f64>], nominal_interval_ms: &[f64]) -> Vec<f64> {
+    const PARTIAL_BEAT: f64 = 0.05;
+    if !nominal_interval_ms.is_empty() && nominal_interval_ms.len() == slices.len() {
+        return nominal_interval_ms.to_vec();
+    }
+    let spanned: Vec<f64> = slices.iter().map(|times| spanned_period(times)).collect();
+    if nominal_interval_ms.is_empty() || spanned.is_empty() {
+        return spanned;
+    }
+    let stretch = median(nominal_interval_ms.to_vec()) / median(spanned.clone());
+    if stretch > 1.0 + PARTIAL_BEAT { spanned.into_iter().map(|ms| ms * stretch).collect() } else { spanned }
+}
+
 /// Median of at least one finite number.
-fn median(mut values: Vec<f64>) -> f64 {
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     let middle = values.len() / 2;
     if values.len() % 2 == 1 { values[middle] } else { 0.5 * (values[middle - 1] + values[middle]) }
@@ -159,6 +171,15 @@ mod tests {
             assert!((times_s[frame] - 0.7 * (0.025 + frame as f64 / 20.0)).abs() < 1e-12);
         }
         assert!(timing.warnings[0].contains("690 to 720 ms"), "{:?}", timing.warnings);
+    }
+
+    #[test]
+    fn frames_of_a_part_of_the_beat_keep_their_times() {
+        // 20 frames over the first 600 of 800 ms.
+        let slice: Vec<f64> = (0..20).map(|frame| 30.0 * f64::from(frame)).collect();
+        let timing = CineTiming::from_trigger_times_ms(&[slice.clone(), slice], &[800.0]).unwrap();
+        assert!((timing.period_s.unwrap() - 0.8).abs() < 1e-12);
+        assert!((timing.frame_times_s.unwrap()[19] - 0.57).abs() < 1e-12);
     }
 
     #[test]
