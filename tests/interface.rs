@@ -170,7 +170,7 @@ fn a_free_beat_leaves_its_files_and_says_what_was_found() {
     let answer = cardiotwin(&["run", file.to_str().unwrap(), "-o", folder.to_str().unwrap()]);
     assert_eq!(answer.code, 0, "{}", answer.err);
     assert!(answer.out.starts_with("Left ventricle: EDV ") && answer.out.contains("converged; results are in "), "{}", answer.out);
-    let figures = ["pressure_volume_lv.png", "pressures_lv.png", "volume_lv.png"];
+    let figures = ["pressure_volume_lv.png", "beat_lv.png", "volume_lv.png"];
     for name in ["curves.csv", "frames.csv", "heart.pvd", "summary.json"].iter().chain(&figures) {
         assert!(folder.join(name).is_file(), "{name} is missing in {:?}", names(&folder));
     }
@@ -226,7 +226,7 @@ fn a_folder_that_cannot_be_made_fails_the_run() {
 fn ctrl_c_stops_a_run_that_writes_what_it_has() {
     use std::io::{BufRead, BufReader};
     let (file, folder) = (study("interrupted", BEAT), fresh_folder("interrupted_results"));
-    let endless = ["--set", "mechanics.step_s=0.0001", "--set", "mechanics.beats=500", "--set", "output.meshes=false"];
+    let endless = ["--set", "mechanics.step_s=0.0001", "--set", "simulation.beats=500", "--set", "output.meshes=false"];
     let mut run = std::process::Command::new(assert_cmd::cargo::cargo_bin("cardiotwin"))
         .args(["run", file.to_str().unwrap(), "-o", folder.to_str().unwrap()])
         .args(endless)

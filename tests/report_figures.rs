@@ -59,21 +59,68 @@ fn volume_curves_are_drawn() {
 }
 
 #[test]
-fn pressures_are_drawn_over_their_phases() {
-    let file = place("pressures.png");
+fn pressures_and_volume_are_drawn_over_their_phases() {
+    let file = place("beat.png");
     let pressure = |p: f64| 1.2 + 13.0 * (-(((p - 0.22) / 0.12).powi(2)).powi(2)).exp();
     let band = |name: &str, from_s: f64, to_s: f64| TimeBand { name: name.into(), from_s, to_s };
-    let figure = PressureCurves {
-        title: "Pressures over the beat".into(),
-        curves: vec![
+    let figure = BeatCurves {
+        title: "The left ventricle over the beat".into(),
+        volume: curve("LV volume", Look::Simulated, 300, |p| volume_ml(p, 60.0)),
+        pressures: vec![
             curve("aorta", Look::Artery, 300, |p| 10.5 + 2.5 * (-((p - 0.27) / 0.16).powi(2)).exp()),
             curve("left ventricle", Look::Simulated, 300, pressure),
             curve("left atrium", Look::Other, 300, |p| 1.2 + 0.5 * (-((p - 0.97) / 0.04).powi(2)).exp()),
         ],
         phases: vec![band("IVC", 0.03, 0.07), band("ejection", 0.07, 0.25), band("IVR", 0.25, 0.32), band("filling", 0.32, 0.71)],
     };
-    pressures(&file, &figure).unwrap();
-    assert_eq!(looked_at(&file).0, (1500, 950));
+    beat_curves(&file, &figure).unwrap();
+    assert_eq!(looked_at(&file).0, (1500, 1350));
+}
+
+#[test]
+fn strains_are_drawn_by_wall() {
+    let file = place("strains.png");
+    let shortening = |depth: f64, late: f64| move |p: f64| -depth * (-((p - 0.35 - late) / 0.18).powi(2)).exp();
+    let panel = |direction: &str, depth: f64| StrainPanel {
+        direction: direction.into(),
+        curves: vec![
+            curve("septum", Look::Septum, 60, shortening(depth, 0.0)),
+            curve("septum", Look::Septum, 60, shortening(0.9 * depth, 0.01)),
+            curve("lateral", Look::Lateral, 60, shortening(1.1 * depth, 0.05)),
+        ],
+    };
+    let panels = vec![panel("circumferential", 0.2), panel("longitudinal", 0.15), panel("radial", -0.35)];
+    strain_curves(&file, &StrainCurves { title: "Strain".into(), panels }).unwrap();
+    assert_eq!(looked_at(&file).0, (1300, 150 + 3 * 420));
+}
+
+#[test]
+fn a_surface_is_drawn_in_bands_with_its_scale() {
+    let file = place("surface.png");
+    let (rings, sectors) = (30, 60);
+    let vertex = |ring: usize, sector: usize| {
+        let (polar, around) = (0.5 * PI + 0.5 * PI * ring as f64 / rings as f64, 2.0 * PI * sector as f64 / sectors as f64);
+        nalgebra::Vector3::new(30.0 * polar.sin() * around.cos(), 30.0 * polar.sin() * around.sin(), 60.0 * polar.cos())
+    };
+    let vertices_mm: Vec<_> = (0..=rings).flat_map(|ring| (0..sectors).map(move |sector| vertex(ring, sector))).collect();
+    let at = |ring: usize, sector: usize| ring * sectors + sector % sectors;
+    let square = |ring: usize, sector: usize| {
+        let [a, b, c, d] = [at(ring, sector), at(ring, sector + 1), at(ring + 1, sector + 1), at(ring + 1, sector)];
+        [[a, b, c], [a, c, d]]
+    };
+    let triangles = (0..rings).flat_map(|ring| (0..sectors).flat_map(move |sector| square(ring, sector))).collect();
+    let values = vertices_mm.iter().map(|p| (p - nalgebra::Vector3::new(0.0, -25.0, -20.0)).norm()).collect();
+    let view = |name: &str, sign: f64| SurfaceView {
+        name: name.into(),
+        to_eye: nalgebra::Vector3::new(0.0, sign, 0.4),
+        up: nalgebra::Vector3::z(),
+    };
+    let (title, quantity) = ("Activation".into(), "depolarisation time (ms)".into());
+    let figure =
+        SurfaceMap { title, quantity, vertices_mm, triangles, values, band: 10.0, views: vec![view("front", -1.0), view("back", 1.0)] };
+    surface_map(&file, &figure).unwrap();
+    let (size, colours) = looked_at(&file);
+    assert!(size == (1470, 810) && colours > 200, "{size:?}, {colours} colours");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::heart::{Parameter, ParameterSpec, Section};
-use crate::study::plan::{AnatomySource, FreeParameter, ImageSource, ModelAnatomy, OnsetSite};
+use crate::study::plan::{AnatomySource, Beats, FreeParameter, ImageSource, ModelAnatomy, OnsetSite};
 use crate::study::{Choice, Plan};
 
 /// An error and what caused it, one cause a line.
@@ -93,7 +93,11 @@ fn model(plan: &Plan) -> String {
         OnsetSite::Sites => format!("{} site(s)", plan.model.onset.sites.len()),
         place => place.word().to_string(),
     };
-    format!("step {} s, {} beat(s), onset {onset}", plan.model.step_s, plan.model.beats)
+    let beats = match plan.simulation.beats {
+        Beats::Count(count) => format!("{count} beat(s)"),
+        Beats::Periodic(periodicity) => format!("beats until they repeat within {} mL", periodicity.tolerance_ml),
+    };
+    format!("step {} s, {beats}, onset {onset}", plan.model.step_s)
 }
 
 fn free_parameter(free: &FreeParameter) -> String {

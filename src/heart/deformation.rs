@@ -17,6 +17,21 @@ pub struct Strain {
     pub radial: f64,
 }
 
+impl Strain {
+    /// Strains of every tetrahedron from `reference_mm` to `position_mm`, positions of every vertex; not a number where an element is flat.
+    pub fn of_tetrahedra(anatomy: &Anatomy, reference_mm: &[Vector3<f64>], position_mm: &[Vector3<f64>]) -> Vec<Self> {
+        let of = |tetrahedron| {
+            let strain = tetrahedron_strain(anatomy, tetrahedron, [reference_mm, position_mm]).unwrap_or([f64::NAN; 3]);
+            Self::from_array(strain)
+        };
+        (0..anatomy.mesh.tetrahedron_count()).map(of).collect()
+    }
+
+    fn from_array([circumferential, longitudinal, radial]: [f64; 3]) -> Self {
+        Self { circumferential, longitudinal, radial }
+    }
+}
+
 /// Deformation of one AHA segment.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SegmentDeformation {
@@ -28,6 +43,13 @@ pub struct SegmentDeformation {
     pub thickness_mm: f64,
     /// Change of the thickness, mm.
     pub thickening_mm: f64,
+}
+
+impl SegmentDeformation {
+    /// Change of the thickness over the thickness.
+    pub fn relative_thickening(&self) -> f64 {
+        self.thickening_mm / self.thickness_mm
+    }
 }
 
 /// Deformation of the left ventricle from a reference instant (end-diastole) to another (end-systole).
@@ -44,6 +66,8 @@ pub struct Deformation {
     pub torsion_deg_per_mm: f64,
     /// How far the base moves towards the apex, mm.
     pub base_descent_mm: f64,
+    /// Change of the wall's thickness over the thickness, mean of the segments.
+    pub wall_thickening: f64,
 }
 
 /// Sums over the tetrahedra of one segment.
@@ -63,8 +87,9 @@ impl Deformation {
         for (tetrahedron, &segment) in anatomy.aha_segments.iter().enumerate().filter(|&(_, &segment)| (1..=17).contains(&segment)) {
             sums[usize::from(segment)].add(anatomy, tetrahedron, reference_mm, position_mm);
         }
-        let segments =
+        let segments: Vec<SegmentDeformation> =
             (1..=17).zip(&sums[1..]).filter(|(_, sums)| sums.weight > 0.0).map(|(segment, sums)| sums.segment(segment)).collect();
+        let wall_thickening = segments.iter().map(SegmentDeformation::relative_thickening).sum::<f64>() / segments.len().max(1) as f64;
         let strain = sums.iter().fold(Sums::default(), |a, b| a.plus(b)).mean_strain();
         let levels = [13..=16, 1..=6].map(|segments| Level::of(anatomy, segments, reference_mm, position_mm));
         let (twist_deg, distance_mm) = match levels {
@@ -75,23 +100,18 @@ impl Deformation {
         let base = anatomy.surface.vertices_with(SurfaceTag::Base);
         let descent = base.iter().map(|&vertex| (reference_mm[vertex] - position_mm[vertex]).dot(&anatomy.axes.long_axis));
         let base_descent_mm = descent.sum::<f64>() / base.len().max(1) as f64;
-        Self { segments, strain, twist_deg, torsion_deg_per_mm: twist_deg / distance_mm, base_descent_mm }
+        Self { segments, strain, twist_deg, torsion_deg_per_mm: twist_deg / distance_mm, base_descent_mm, wall_thickening }
     }
 }
 
 impl Sums {
     fn add(&mut self, anatomy: &Anatomy, tetrahedron: usize, reference_mm: &[Vector3<f64>], position_mm: &[Vector3<f64>]) {
         let corners = anatomy.mesh.tetrahedra()[tetrahedron];
-        let rest = edges(&anatomy.mesh.corners_mm(tetrahedron));
-        let Some(inverse_rest) = rest.try_inverse() else { return };
+        let Some(strain) = tetrahedron_strain(anatomy, tetrahedron, [reference_mm, position_mm]) else { return };
         let volume = anatomy.mesh.volume_mm3(tetrahedron);
         let instants = [reference_mm, position_mm].map(|y| edges(&corners.map(|vertex| y[vertex])));
         self.weight += volume;
-        for (axis, sum) in self.strain.iter_mut().enumerate() {
-            let direction = inverse_rest * anatomy.heart_axes[tetrahedron].column(axis);
-            let [before, after] = instants.map(|y| (y * direction).norm());
-            *sum += volume * (after / before - 1.0);
-        }
+        self.strain.iter_mut().zip(strain).for_each(|(sum, strain)| *sum += volume * strain);
         let depth = corners.map(|vertex| anatomy.transmural_depth[vertex]);
         let depth_rise = Vector3::new(depth[1] - depth[0], depth[2] - depth[0], depth[3] - depth[0]);
         for (instant, y) in instants.iter().enumerate() {
@@ -109,8 +129,7 @@ impl Sums {
     }
 
     fn mean_strain(&self) -> Strain {
-        let [circumferential, longitudinal, radial] = self.strain.map(|sum| sum / self.weight.max(f64::MIN_POSITIVE));
-        Strain { circumferential, longitudinal, radial }
+        Strain::from_array(self.strain.map(|sum| sum / self.weight.max(f64::MIN_POSITIVE)))
     }
 
     /// By the coarea formula ∫|∇depth| dV is the mean area of the layers of equal depth, so V over it is the mean thickness.
@@ -147,6 +166,18 @@ impl Level {
         }
         (volume > 0.0).then(|| Self { height_mm: height / volume, rotation_rad: rotation / volume })
     }
+}
+
+/// Relative change of length of the line elements along the local axes at rest.
+fn tetrahedron_strain(anatomy: &Anatomy, tetrahedron: usize, instants_mm: [&[Vector3<f64>]; 2]) -> Option<[f64; 3]> {
+    let corners = anatomy.mesh.tetrahedra()[tetrahedron];
+    let inverse_rest = edges(&anatomy.mesh.corners_mm(tetrahedron)).try_inverse()?;
+    let instants = instants_mm.map(|y| edges(&corners.map(|vertex| y[vertex])));
+    Some([0, 1, 2].map(|axis| {
+        let direction = inverse_rest * anatomy.heart_axes[tetrahedron].column(axis);
+        let [before, after] = instants.map(|y| (y * direction).norm());
+        after / before - 1.0
+    }))
 }
 
 fn edges([a, b, c, d]: &[Vector3<f64>; 4]) -> Matrix3<f64> {

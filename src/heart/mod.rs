@@ -1,6 +1,7 @@
 //! The coupled heart: parameters, model, step, beat and observables, \[Billet2009\] §2.
 
 mod base_motion;
+mod beat_deformation;
 #[cfg(test)]
 mod beat_tests;
 mod deformation;
@@ -20,6 +21,7 @@ mod step;
 mod two_ventricle_tests;
 
 pub use base_motion::BaseMotion;
+pub use beat_deformation::{BeatDeformation, PeakStrain};
 pub use deformation::{Deformation, SegmentDeformation, Strain};
 pub use error::{HeartError, StepError};
 pub use model::{HeartModel, ModelSettings, PressureLoad};

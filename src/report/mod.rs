@@ -9,4 +9,4 @@ mod tables;
 pub use atomic::{create_folder, write_atomically};
 pub use error::ReportError;
 pub use series::write_pvd;
-pub use tables::{IterationRow, ParameterRow, PathRow, SegmentRow, write_csv, write_iterations, write_json};
+pub use tables::{IterationRow, ParameterRow, PathRow, write_csv, write_iterations, write_json};

@@ -51,23 +51,6 @@ pub struct IterationRow {
     pub values: Vec<f64>,
 }
 
-/// A row of `segments.csv`: one AHA segment.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct SegmentRow {
-    /// AHA segment, 1–17.
-    pub segment: u8,
-    /// Peak circumferential strain, relative.
-    pub strain_circumferential: f64,
-    /// Peak longitudinal strain, relative.
-    pub strain_longitudinal: f64,
-    /// Peak radial strain, relative.
-    pub strain_radial: f64,
-    /// Peak contraction σ0.
-    pub contraction_peak_kpa: f64,
-    /// Work of the image forces in a beat, which is what the model does not explain.
-    pub discrepancy_mj: f64,
-}
-
 /// A row of `paths.csv`: where a material point is at a frame, world RAS.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PathRow {

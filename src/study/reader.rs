@@ -160,6 +160,11 @@ impl<'a> TableReader<'a> {
         text
     }
 
+    /// Whether text is written.
+    pub(super) fn is_text(&self, key: &'static str) -> bool {
+        self.value(key).is_some_and(Value::is_str)
+    }
+
     /// Yes or no, or its default.
     pub(super) fn flag(&self, key: &'static str, default: bool) -> bool {
         let Some(value) = self.value(key) else { return default };

@@ -23,6 +23,14 @@ pub enum Look {
     Artery,
     /// A further line.
     Other,
+    /// The septum: a thin line.
+    Septum,
+    /// The anterior wall: a thin line.
+    Anterior,
+    /// The lateral wall: a thin line.
+    Lateral,
+    /// The inferior wall: a thin line.
+    Inferior,
 }
 
 /// A curve with its name in the legend.
@@ -58,6 +66,10 @@ impl Look {
             Self::Truth => BLUISH_GREEN,
             Self::Artery => BLUE_INK,
             Self::Other => REDDISH_PURPLE,
+            Self::Septum => VERMILION,
+            Self::Anterior => BLUISH_GREEN,
+            Self::Lateral => BLUE_INK,
+            Self::Inferior => ORANGE,
         }
     }
 
@@ -65,6 +77,7 @@ impl Look {
         match self {
             Self::Measured => None,
             Self::Simulated => Some(4),
+            Self::Septum | Self::Anterior | Self::Lateral | Self::Inferior => Some(2),
             _ => Some(3),
         }
     }

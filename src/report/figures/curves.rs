@@ -32,14 +32,16 @@ pub struct TimeBand {
     pub to_s: f64,
 }
 
-/// Pressures over the beat.
+/// Pressures and the volume of one ventricle over the beat.
 #[derive(Debug, Clone, PartialEq)]
-pub struct PressureCurves {
+pub struct BeatCurves {
     /// Title.
     pub title: String,
-    /// Curves in s and kPa.
-    pub curves: Vec<Curve>,
-    /// Phases, in order of time.
+    /// Pressures in s and kPa.
+    pub pressures: Vec<Curve>,
+    /// The volume in s and mL.
+    pub volume: Curve,
+    /// Phases, in order of time; a valve moves where one begins.
     pub phases: Vec<TimeBand>,
 }
 
@@ -72,30 +74,56 @@ pub fn volume_curves(file: &Path, figure: &VolumeCurves) -> Result<(), ReportErr
     })
 }
 
-/// Draws pressures in mmHg over time, with the phases of the beat behind them.
+/// Draws pressures in mmHg above the volume, both over time with the phases of the beat behind them.
 ///
 /// # Errors
 /// [`ReportError`] if the figure cannot be drawn or written.
-pub fn pressures(file: &Path, figure: &PressureCurves) -> Result<(), ReportError> {
-    let curves = in_ms(&figure.curves, 1.0 / KPA_PER_MMHG);
-    picture(file, "the pressures", (1500, 950), |area| {
-        let below = headed(area, &figure.title, &legend_of(&curves))?;
-        let (low, high) = padded(ordinates(&curves).chain([0.0]), 0.03, 0.14);
-        let x = padded(abscissae(&curves), 0.0, 0.0);
-        let axes = Axes { x_title: "time after the trigger (ms)", y_title: "pressure (mmHg)", x, y: (low, high) };
-        let mut chart = plot(&below, &axes, &Margins::default())?;
-        let tints = [RGBColor(238, 238, 238), RGBColor(253, 238, 214), RGBColor(226, 240, 250), RGBColor(245, 233, 241)];
-        let within = |time_s: f64| (time_s * MS_PER_S).clamp(x.0, x.1);
-        for (number, band) in figure.phases.iter().enumerate() {
-            let corners = [(within(band.from_s), low), (within(band.to_s), high)];
-            chart.draw_series([Rectangle::new(corners, tints[number % tints.len()].filled())])?;
-        }
-        decorate(area, &chart, &axes, &ticks(axes.x, 8), &ticks(axes.y, 7))?;
-        for band in &figure.phases {
-            name_band(area, &chart, &band.name, (within(band.from_s), within(band.to_s)), high)?;
-        }
-        draw_curves(&mut chart, &curves)
+pub fn beat_curves(file: &Path, figure: &BeatCurves) -> Result<(), ReportError> {
+    let pressures = in_ms(&figure.pressures, 1.0 / KPA_PER_MMHG);
+    let volume = in_ms(std::slice::from_ref(&figure.volume), 1.0);
+    picture(file, "the beat", (1500, 1350), |area| {
+        let below = headed(area, &figure.title, &legend_of(&pressures))?;
+        let height = below.dim_in_pixel().1;
+        let (upper, lower) = below.split_vertically(height * 3 / 5);
+        let x = padded(abscissae(&pressures), 0.0, 0.0);
+        let y = padded(ordinates(&pressures).chain([0.0]), 0.03, 0.14);
+        let axes = Axes { x_title: "", y_title: "pressure (mmHg)", x, y };
+        draw_over_phases(area, &upper, &axes, &pressures, &figure.phases, true)?;
+        let y = padded(ordinates(&volume), 0.1, 0.1);
+        let axes = Axes { x_title: "time after the trigger (ms)", y_title: "volume (mL)", x, y };
+        draw_over_phases(area, &lower, &axes, &volume, &figure.phases, false)
     })
+}
+
+fn draw_over_phases<'b>(whole: &Area<'b>, part: &Area<'b>, axes: &Axes, curves: &[Curve], phases: &[TimeBand], is_named: bool) -> Drawn {
+    let mut chart = plot(part, axes, &Margins { bottom: if axes.x_title.is_empty() { 44 } else { 92 }, ..Margins::default() })?;
+    let within = |time_s: f64| (time_s * MS_PER_S).clamp(axes.x.0, axes.x.1);
+    for band in phases {
+        let corners = [(within(band.from_s), axes.y.0), (within(band.to_s), axes.y.1)];
+        chart.draw_series([Rectangle::new(corners, tint(&band.name).filled())])?;
+    }
+    decorate(whole, &chart, axes, &ticks(axes.x, 8), &ticks(axes.y, 6))?;
+    for band in phases {
+        let begin = within(band.from_s);
+        if begin > axes.x.0 {
+            let line = [(begin, axes.y.0), (begin, axes.y.1)];
+            chart.draw_series(DashedLineSeries::new(line, px(6), px(6), GREY_INK.stroke_width(px(1))))?;
+        }
+        if is_named {
+            name_band(whole, &chart, &band.name, (begin, within(band.to_s)), axes.y.1)?;
+        }
+    }
+    draw_curves(&mut chart, curves)
+}
+
+/// A pale colour of its own for each phase.
+fn tint(phase: &str) -> RGBColor {
+    match phase {
+        "IVC" => RGBColor(253, 226, 205),
+        "ejection" => RGBColor(253, 243, 222),
+        "IVR" => RGBColor(221, 236, 248),
+        _ => RGBColor(241, 247, 251),
+    }
 }
 
 /// Writes the name of a band at its top, upward where it is narrow.

@@ -5,10 +5,14 @@ mod curves;
 mod loops;
 mod montage;
 mod parameters;
+mod strains;
 mod style;
+mod surface;
 
 pub use chart::{Curve, Look};
-pub use curves::{CostHistory, PressureCurves, TimeBand, VolumeCurves, cost_over_iterations, pressures, volume_curves};
+pub use curves::{BeatCurves, CostHistory, TimeBand, VolumeCurves, beat_curves, cost_over_iterations, volume_curves};
 pub use loops::{LoopPoint, PressureVolumeLoop, pressure_volume_loop};
 pub use montage::{Contour, Montage, MontagePanel, slice_montage};
 pub use parameters::{ParameterInterval, parameter_intervals};
+pub use strains::{StrainCurves, StrainPanel, strain_curves};
+pub use surface::{SurfaceMap, SurfaceView, surface_map};

@@ -1,6 +1,7 @@
 //! A study as meant: every value present, in its range and in house units, every file found.
 
 mod anatomy;
+mod beats;
 mod images;
 mod model;
 mod output;
@@ -12,6 +13,7 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 pub use anatomy::{AnatomyPlan, AnatomySource, FibrePlan, IdealisedLv, LabelCodes};
+pub use beats::{Beats, BeatsPlan};
 pub use images::{ImageSource, ImagesPlan, ReferenceLabels};
 pub use model::{ModelPlan, OnsetPlan, OnsetSite};
 pub use output::OutputPlan;
@@ -65,6 +67,8 @@ pub struct Plan {
     pub written: BTreeSet<Parameter>,
     /// Time stepping and onset.
     pub model: ModelPlan,
+    /// How many beats.
+    pub simulation: BeatsPlan,
     /// How images pull on the heart.
     pub tracking: TrackingPlan,
     /// What is to be found; none unless the kind is [`Kind::Personalise`].
@@ -124,6 +128,7 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
     let phantom = phantom::read(root.table("phantom"));
     let images = images::read(root.table("images"));
     let model = model::read(&root, &mut parameters, &mut written);
+    let simulation = beats::read(root.table("simulation"));
     let circulation = root.table(Section::Circulation.key());
     circulation.parameters(Section::Circulation, &mut parameters, &mut written);
     circulation.close();
@@ -134,6 +139,9 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
     let images = images_of(&root, kind, &anatomy, images, phantom);
     if let Some(ImageSource::Phantom(phantom)) = &images {
         check_tolerances(&root, phantom, personalisation.as_ref());
+    }
+    if matches!((kind, simulation.beats), (Some(Kind::Track | Kind::Personalise), Beats::Periodic(_))) {
+        root.problem("simulation.beats", "needs a heart without images", "write a number of beats");
     }
     match (kind, &personalisation) {
         (Some(Kind::Personalise), None) => {
@@ -152,6 +160,7 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
         parameters,
         written,
         model,
+        simulation,
         tracking,
         personalisation,
         output,

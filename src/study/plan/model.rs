@@ -1,4 +1,4 @@
-//! `[electrophysiology]` and `[mechanics]` beyond the parameters: onset, time step and beats.
+//! `[electrophysiology]` and `[mechanics]` beyond the parameters: onset and time step.
 
 use std::collections::BTreeSet;
 
@@ -36,15 +36,13 @@ pub struct ModelPlan {
     pub onset: OnsetPlan,
     /// `mechanics.step_s`: time step.
     pub step_s: f64,
-    /// `mechanics.beats`: beats simulated from the time of the anatomy; results are of the last one.
-    pub beats: usize,
 }
 
 pub(super) fn read(root: &TableReader, parameters: &mut Parameters, written: &mut BTreeSet<Parameter>) -> ModelPlan {
     let onset = read_onset(root.table(Section::Electrophysiology.key()), parameters, written);
     let mechanics = root.table(Section::Mechanics.key());
     mechanics.parameters(Section::Mechanics, parameters, written);
-    let plan = ModelPlan { onset, step_s: mechanics.number("step_s", 1e-5..=0.05, 0.005), beats: mechanics.count("beats", 1..=1000, 1) };
+    let plan = ModelPlan { onset, step_s: mechanics.number("step_s", 1e-5..=0.05, 0.005) };
     mechanics.close();
     plan
 }

@@ -80,7 +80,7 @@ fn a_value_out_of_range_is_told_the_range() {
 
 #[test]
 fn a_wrong_type_is_told_the_right_one() {
-    assert!(problem(SIMULATE, &["mechanics.beats=1.5"]).contains("is not a whole number; write a whole number from 1 to 1000"));
+    assert!(problem(SIMULATE, &["simulation.beats=1.5"]).contains("is not a whole number; write a whole number from 1 to 1000"));
     assert!(problem(SIMULATE, &["mechanics.poisson_ratio=soft"]).contains("is not a number"));
     assert!(problem(SIMULATE, &["mechanics=3"]).contains("is not a table"));
     assert!(problem(SIMULATE, &["tracking.scheme=fast"]).contains("choose one of \"explicit\", \"published\", \"exact\", \"variational\""));
@@ -89,8 +89,20 @@ fn a_wrong_type_is_told_the_right_one() {
 }
 
 #[test]
+fn beats_are_counted_or_go_on_until_they_repeat() {
+    assert_eq!(plan(SIMULATE, &[]).unwrap().simulation.beats, Beats::Count(1));
+    assert_eq!(plan(SIMULATE, &["simulation.beats=3"]).unwrap().simulation.beats, Beats::Count(3));
+    let settings = ["simulation.beats=periodic", "simulation.tolerance_ml=0.1", "simulation.beat_limit=40"];
+    let expected = crate::heart::Periodicity { tolerance_ml: 0.1, beat_limit: 40 };
+    assert_eq!(plan(SIMULATE, &settings).unwrap().simulation.beats, Beats::Periodic(expected));
+    assert!(problem(SIMULATE, &["simulation.beats=forever"]).contains("neither a number nor \"periodic\""));
+    assert!(problem(SIMULATE, &["simulation.tolerance_ml=0.1"]).contains("of no use with a number of beats"));
+    assert!(problem(PHANTOM, &["simulation.beats=periodic"]).contains("needs a heart without images"));
+}
+
+#[test]
 fn all_errors_are_named_at_once() {
-    let error = plan("kind = \"fly\"\n[mechanics]\nbeats = 0\nstep = 1\n", &[]).unwrap_err().to_string();
+    let error = plan("kind = \"fly\"\n[simulation]\nbeats = 0\n[mechanics]\nstep = 1\n", &[]).unwrap_err().to_string();
     for part in ["has 4 errors", "kind = \"fly\"", "anatomy.labels is missing", "beats = 0", "mechanics.step = 1"] {
         assert!(error.contains(part), "{part} is missing in:\n{error}");
     }

@@ -39,6 +39,11 @@ impl Clock {
         self.end_s - self.period_s
     }
 
+    /// The trigger of the last beat, s.
+    pub(super) fn last_trigger_s(&self) -> f64 {
+        self.last_beat_s() - self.start_s
+    }
+
     /// Place of a cine frame in the order of the last beat; of the reference frame its second, after the beat.
     pub(super) fn position_of(&self, frame: usize) -> Option<usize> {
         self.frames.iter().rposition(|&other| other == frame)

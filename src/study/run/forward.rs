@@ -8,7 +8,9 @@ use nalgebra::Vector3;
 use super::clock::Clock;
 use super::error::RunError;
 use crate::anatomy::{Anatomy, Ventricle};
-use crate::heart::{BeatObservables, HeartModel, ModelSettings, OnsetSites, Parameters, SimulationPlan, Trajectory, simulate};
+use crate::heart::{
+    BeatDeformation, BeatObservables, HeartModel, ModelSettings, OnsetSites, Parameters, SimulationPlan, Trajectory, simulate,
+};
 use crate::mechanics::StepLoad;
 use crate::mesh::SurfaceTag;
 use crate::study::RunContext;
@@ -56,6 +58,11 @@ pub(super) fn observables(trajectory: &Trajectory, clock: &Clock) -> Vec<(Ventri
     let of =
         |ventricle| BeatObservables::of_beat(&trajectory.curves, ventricle, clock.last_beat_s(), clock.period_s).map(|o| (ventricle, o));
     [Ventricle::Left, Ventricle::Right].into_iter().filter_map(of).collect()
+}
+
+/// What the wall does in the last beat of a trajectory; none without frames.
+pub(super) fn deformation(model: &HeartModel, trajectory: &Trajectory, clock: &Clock) -> Option<BeatDeformation> {
+    BeatDeformation::of_beat(model.anatomy(), &trajectory.frames, &trajectory.curves, clock.last_beat_s(), clock.period_s)
 }
 
 /// Volumes of the left ventricle at the frames, mL.

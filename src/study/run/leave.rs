@@ -6,9 +6,11 @@ use serde::Serialize;
 
 use super::clock::Clock;
 use super::error::RunError;
+use super::forward::{deformation, observables};
 use super::track::Tracked;
+use super::wall::{WallSummary, write_wall};
 use crate::anatomy::Ventricle;
-use crate::heart::{BeatObservables, HeartModel, Trajectory};
+use crate::heart::{BeatObservables, HeartModel, Strain, Trajectory};
 use crate::mesh::io::{FieldValues, write_vtu};
 use crate::mesh::{MeshQuality, SurfaceTag};
 use crate::report::{create_folder, write_csv, write_pvd};
@@ -34,16 +36,28 @@ pub(super) struct BeatSummary {
     pub(super) ejection_fraction_rv: Option<f64>,
     pub(super) end_diastolic_volume_rv_ml: Option<f64>,
     pub(super) end_systolic_volume_rv_ml: Option<f64>,
+    pub(super) stroke_volume_rv_ml: Option<f64>,
     pub(super) pressure_peak_rv_mmhg: Option<f64>,
+    pub(super) pressure_end_diastolic_rv_mmhg: Option<f64>,
+    pub(super) pressure_rate_max_rv_mmhg_per_s: Option<f64>,
+    pub(super) pressure_systolic_pulmonary_mmhg: Option<f64>,
+    pub(super) pressure_diastolic_pulmonary_mmhg: Option<f64>,
+    pub(super) isovolumetric_contraction_rv_ms: Option<f64>,
+    pub(super) ejection_rv_ms: Option<f64>,
+    pub(super) isovolumetric_relaxation_rv_ms: Option<f64>,
+    pub(super) filling_rv_ms: Option<f64>,
     pub(super) total_activation_time_ms: f64,
+    #[serde(flatten)]
+    pub(super) wall: Option<WallSummary>,
 }
 
 impl BeatSummary {
-    pub(super) fn new(model: &HeartModel, observables: &[(Ventricle, BeatObservables)]) -> Self {
+    /// The last beat of a trajectory.
+    pub(super) fn new(model: &HeartModel, trajectory: &Trajectory, clock: &Clock) -> Self {
+        let observables = observables(trajectory, clock);
         let of = |ventricle, value: fn(&BeatObservables) -> f64| observables.iter().find(|(v, _)| *v == ventricle).map(|(_, o)| value(o));
         let (left, right) = (Ventricle::Left, Ventricle::Right);
-        let times_s = model.activation().times_s().iter().copied();
-        let (first_s, last_s) = times_s.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
+        let (first_s, last_s) = model.activation().span_s();
         Self {
             ejection_fraction_lv: of(left, |o| o.ejection_fraction),
             end_diastolic_volume_lv_ml: of(left, |o| o.end_diastolic_volume_ml),
@@ -61,8 +75,18 @@ impl BeatSummary {
             ejection_fraction_rv: of(right, |o| o.ejection_fraction),
             end_diastolic_volume_rv_ml: of(right, |o| o.end_diastolic_volume_ml),
             end_systolic_volume_rv_ml: of(right, |o| o.end_systolic_volume_ml),
+            stroke_volume_rv_ml: of(right, |o| o.stroke_volume_ml),
             pressure_peak_rv_mmhg: of(right, |o| o.pressure_peak_mmhg),
+            pressure_end_diastolic_rv_mmhg: of(right, |o| o.pressure_end_diastolic_mmhg),
+            pressure_rate_max_rv_mmhg_per_s: of(right, |o| o.pressure_rate_max_mmhg_per_s),
+            pressure_systolic_pulmonary_mmhg: of(right, |o| o.arterial_pressure_systolic_mmhg),
+            pressure_diastolic_pulmonary_mmhg: of(right, |o| o.arterial_pressure_diastolic_mmhg),
+            isovolumetric_contraction_rv_ms: of(right, |o| o.isovolumetric_contraction_ms),
+            ejection_rv_ms: of(right, |o| o.ejection_ms),
+            isovolumetric_relaxation_rv_ms: of(right, |o| o.isovolumetric_relaxation_ms),
+            filling_rv_ms: of(right, |o| o.filling_ms),
             total_activation_time_ms: (last_s - first_s) * crate::units::MS_PER_S,
+            wall: deformation(model, trajectory, clock).map(|beat| WallSummary::new(&beat)),
         }
     }
 }
@@ -131,17 +155,23 @@ pub(super) fn frame_rows(
     trajectory.frames.iter().enumerate().map(row).collect()
 }
 
-/// Writes the beating mesh at the frames of a trajectory as `name`.pvd and a folder `name` of VTU files.
-pub(super) fn write_series(folder: &Path, name: &str, model: &HeartModel, trajectory: &Trajectory) -> Result<(), RunError> {
+/// Writes the beating mesh at the frames of a trajectory as `name`.pvd and a folder `name` of VTU files. Strains are against
+/// end-diastole.
+pub(super) fn write_series(folder: &Path, name: &str, model: &HeartModel, trajectory: &Trajectory, clock: &Clock) -> Result<(), RunError> {
     create_folder(&folder.join(name))?;
     let anatomy = model.anatomy();
     let rest_mm = anatomy.mesh.vertices_mm();
+    let beat = deformation(model, trajectory, clock);
+    let reference_mm = beat.as_ref().map_or(rest_mm, |beat| &beat.reference_mm);
     let fibres: Vec<_> = anatomy.fibre_axes.iter().map(|axes| axes.column(0).into_owned()).collect();
     let segments: Vec<i32> = anatomy.aha_segments.iter().map(|&segment| i32::from(segment)).collect();
     let mut listed = Vec::with_capacity(trajectory.frames.len());
     for (number, frame) in trajectory.frames.iter().enumerate() {
         let displacement_mm: Vec<_> = frame.position_mm.iter().zip(rest_mm).map(|(now, rest)| now - rest).collect();
         let stress_kpa = model.active_stress_kpa(frame.time_s);
+        let strains = Strain::of_tetrahedra(anatomy, reference_mm, &frame.position_mm);
+        let of = |value: fn(&Strain) -> f64| strains.iter().map(value).collect::<Vec<f64>>();
+        let [circumferential, longitudinal, radial] = [of(|s| s.circumferential), of(|s| s.longitudinal), of(|s| s.radial)];
         let file = format!("{name}/{number:03}.vtu");
         let point_fields = [
             ("displacement_mm", FieldValues::Vectors(&displacement_mm)),
@@ -150,6 +180,9 @@ pub(super) fn write_series(folder: &Path, name: &str, model: &HeartModel, trajec
         ];
         let cell_fields = [
             ("active_stress_kpa", FieldValues::Scalars(&stress_kpa)),
+            ("strain_circumferential", FieldValues::Scalars(&circumferential)),
+            ("strain_longitudinal", FieldValues::Scalars(&longitudinal)),
+            ("strain_radial", FieldValues::Scalars(&radial)),
             ("fibre", FieldValues::Vectors(&fibres)),
             ("aha_segment", FieldValues::Labels(&segments)),
         ];
@@ -159,13 +192,22 @@ pub(super) fn write_series(folder: &Path, name: &str, model: &HeartModel, trajec
     Ok(write_pvd(&folder.join(format!("{name}.pvd")), &listed)?)
 }
 
-/// Writes `curves.csv` and `frames.csv`, and the mesh series where the plan asks for it.
-pub(super) fn write_beat(plan: &Plan, model: &HeartModel, trajectory: &Trajectory, rows: &[FrameRow]) -> Result<(), RunError> {
+/// Writes `curves.csv`, `frames.csv` and what the wall does, and the mesh series where the plan asks for it.
+pub(super) fn write_beat(
+    plan: &Plan,
+    model: &HeartModel,
+    trajectory: &Trajectory,
+    clock: &Clock,
+    rows: &[FrameRow],
+) -> Result<(), RunError> {
     let folder = &plan.output.directory;
     write_csv(&folder.join("curves.csv"), &trajectory.curves)?;
     write_csv(&folder.join("frames.csv"), rows)?;
+    if let Some(beat) = deformation(model, trajectory, clock) {
+        write_wall(folder, model, &beat)?;
+    }
     if plan.output.meshes {
-        write_series(folder, "heart", model, trajectory)?;
+        write_series(folder, "heart", model, trajectory, clock)?;
     }
     Ok(())
 }

@@ -13,6 +13,7 @@ mod start;
 mod synthetic;
 mod track;
 mod track_only;
+mod wall;
 
 pub use error::RunError;
 

@@ -15,9 +15,6 @@ use crate::image::{
 use crate::study::RunContext;
 use crate::study::plan::{AnatomyPlan, AnatomySource, IdealisedLv, ImageSource, ImagesPlan, Plan};
 
-/// Frames of a beat that is compared with no images: as many as a fine cine has.
-const FRAMES_WITHOUT_IMAGES: usize = 30;
-
 /// A heart at rest with its images.
 pub(super) struct Patient {
     pub(super) anatomy: Arc<Anatomy>,
@@ -28,6 +25,8 @@ pub(super) struct Patient {
     pub(super) truth: Option<Truth>,
     /// Time at which the mesh rests where there are no images, s.
     pub(super) reference_s: f64,
+    /// How many instants of a beat are looked at where there are no images.
+    pub(super) frames_without_images: usize,
     pub(super) warnings: Vec<String>,
 }
 
@@ -51,7 +50,15 @@ impl Patient {
                 let anatomy = idealised_anatomy(&plan.anatomy, shape)?;
                 let reference_s = shape.reference_time_s;
                 let parameters = plan.parameters.clone();
-                Ok(Self { anatomy: Arc::new(anatomy), parameters, images: None, truth: None, reference_s, warnings: Vec::new() })
+                Ok(Self {
+                    anatomy: Arc::new(anatomy),
+                    parameters,
+                    images: None,
+                    truth: None,
+                    reference_s,
+                    frames_without_images: plan.simulation.frames,
+                    warnings: Vec::new(),
+                })
             }
             (AnatomySource::Labels { path, codes, frame }, images) => {
                 context.progress().stage("reading images and labels", None);
@@ -65,7 +72,8 @@ impl Patient {
                 context.progress().stage("building the anatomy", None);
                 let codes = VentricleCodes { cavity: to_code(codes.cavity_lv), wall: to_code(codes.wall_lv) };
                 let anatomy = anatomy_from_labels(&plan.anatomy, &labels, &codes, &mut warnings)?;
-                Ok(Self { anatomy: Arc::new(anatomy), parameters, images, truth: None, reference_s: 0.0, warnings })
+                let (anatomy, frames_without_images) = (Arc::new(anatomy), plan.simulation.frames);
+                Ok(Self { anatomy, parameters, images, truth: None, reference_s: 0.0, frames_without_images, warnings })
             }
         }
     }
@@ -76,8 +84,8 @@ impl Patient {
         match &self.images {
             Some(images) => Clock::new(images.reference_frame, images.cine.times_s(), period_s, beats),
             None => {
-                let times_s: Vec<f64> =
-                    (0..FRAMES_WITHOUT_IMAGES).map(|n| self.reference_s + period_s * n as f64 / FRAMES_WITHOUT_IMAGES as f64).collect();
+                let count = self.frames_without_images;
+                let times_s: Vec<f64> = (0..count).map(|n| self.reference_s + period_s * n as f64 / count as f64).collect();
                 Clock::new(0, &times_s, period_s, beats)
             }
         }

@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::calibration::{calibration_trajectory, residual, simulate_at};
 use super::clock::Clock;
 use super::error::RunError;
-use super::forward::{beat, frame_volumes_lv_ml, heart_model, observables, step_count};
+use super::forward::{beat, frame_volumes_lv_ml, heart_model, step_count};
 use super::leave::{BeatSummary, FrameRow, Summary, frame_rows, write_base_motion, write_beat, write_series};
 use super::patient::{Patient, PatientImages};
 use super::pictures::{self, NamedMotion};
@@ -47,7 +47,7 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let started = Instant::now();
     let patient = Patient::new(plan, context)?;
     let (Some(images), Some(wanted)) = (&patient.images, &plan.personalisation) else { return Err(RunError::NothingToFit) };
-    let clock = patient.clock(plan.model.beats);
+    let clock = patient.clock(plan.simulation.beats.count());
     let tracked = track_patient(plan, &patient, images, patient.parameters.clone(), context)?;
     let personalised = personalise(plan, wanted, &patient, &clock, &tracked, context)?;
     context.progress().stage("writing results", None);
@@ -322,10 +322,10 @@ fn leave(
     let folder = &plan.output.directory;
     let truth_ml: &[f64] = patient.truth.as_ref().map_or(&[], |truth| &truth.volumes_lv_ml);
     let rows: Vec<FrameRow> = frame_rows(clock, &found.fitted, Some(tracked), &found.measured_ml, truth_ml);
-    write_beat(plan, &found.model, &found.fitted, &rows)?;
+    write_beat(plan, &found.model, &found.fitted, clock, &rows)?;
     write_csv(&folder.join("tracked_curves.csv"), &tracked.motion.trajectory.curves)?;
     if plan.output.meshes {
-        write_series(folder, "tracked", &found.model, &tracked.motion.trajectory)?;
+        write_series(folder, "tracked", &found.model, &tracked.motion.trajectory, clock)?;
     }
     write_base_motion(folder, clock, &found.model, &tracked.motion.trajectory)?;
     let parameters = parameter_rows(found, tracked, &patient.parameters);
@@ -355,7 +355,7 @@ fn leave(
     let summary = Summary {
         kind: plan.kind,
         status,
-        beat: BeatSummary::new(&found.model, &observables(&found.fitted, clock)),
+        beat: BeatSummary::new(&found.model, &found.fitted, clock),
         details,
         mesh: MeshQuality::of(&patient.anatomy.mesh),
         warnings: &patient.warnings.iter().chain(&tracked.motion.warnings).cloned().collect::<Vec<_>>(),

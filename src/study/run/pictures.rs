@@ -2,12 +2,12 @@
 
 use crate::anatomy::Ventricle;
 use crate::circulation::Phase;
-use crate::heart::Trajectory;
+use crate::heart::{BeatDeformation, HeartModel, Strain, Trajectory, phase_events};
 use crate::image::CineSequence;
 use crate::mesh::SurfaceTag;
 use crate::report::figures::{
-    Contour, Curve, Look, LoopPoint, Montage, MontagePanel, PressureCurves, PressureVolumeLoop, TimeBand, VolumeCurves,
-    pressure_volume_loop, pressures, slice_montage, volume_curves,
+    BeatCurves, Contour, Curve, Look, LoopPoint, Montage, MontagePanel, PressureVolumeLoop, StrainCurves, StrainPanel, SurfaceMap,
+    SurfaceView, TimeBand, VolumeCurves, beat_curves, pressure_volume_loop, slice_montage, strain_curves, surface_map, volume_curves,
 };
 use crate::study::Plan;
 use crate::tracking;
@@ -15,6 +15,7 @@ use crate::units::MS_PER_S;
 
 use super::clock::Clock;
 use super::error::RunError;
+use super::forward::deformation;
 use super::patient::{Patient, PatientImages};
 
 /// Volumes over the last beat, pressure–volume loop and pressures; `further` curves join the volumes.
@@ -25,29 +26,32 @@ pub(super) fn beat(plan: &Plan, clock: &Clock, trajectory: &Trajectory, further:
         if rows.is_empty() {
             continue;
         }
-        let times_s: Vec<f64> = rows.iter().map(|(time_s, _)| *time_s).collect();
+        let trigger_s = clock.last_trigger_s();
+        let times_s: Vec<f64> = rows.iter().map(|(time_s, _)| time_s - trigger_s).collect();
         let of = |value: fn(&crate::heart::VentricleCurve) -> f64| rows.iter().map(|(_, curve)| value(curve)).collect::<Vec<f64>>();
         let (volume_ml, pressure_kpa) = (of(|c| c.volume_ml), of(|c| c.pressure_kpa));
         let mut curves = vec![Curve::new("model", Look::Simulated, &times_s, &volume_ml)];
         if ventricle == Ventricle::Left {
-            curves.extend(further.iter().cloned());
+            curves.extend(further.iter().map(|curve| later(curve, -trigger_s)));
         }
         let title = format!("{name} volume over the beat");
         volume_curves(&folder.join(format!("volume_{suffix}.png")), &VolumeCurves { title, quantity: format!("{name} volume"), curves })?;
         let title = format!("Pressure–volume loop, {name}");
         let loops = vec![Curve::new("model", Look::Simulated, &volume_ml, &pressure_kpa)];
-        let figure = PressureVolumeLoop { title, ventricle: name.into(), loops, points: corners(&rows) };
+        let figure = PressureVolumeLoop { title, ventricle: name.into(), loops, points: corners(&rows, ventricle) };
         pressure_volume_loop(&folder.join(format!("pressure_volume_{suffix}.png")), &figure)?;
-        let curves = vec![
+        let pressures = vec![
             Curve::new(format!("{name} cavity"), Look::Simulated, &times_s, &pressure_kpa),
             Curve::new(artery, Look::Artery, &times_s, &of(|c| c.arterial_pressure_kpa)),
             Curve::new("atrium", Look::Other, &times_s, &of(|c| c.atrial_pressure_kpa)),
         ];
-        let phases = bands(&rows);
-        pressures(
-            &folder.join(format!("pressures_{suffix}.png")),
-            &PressureCurves { title: format!("Pressures, {name}"), curves, phases },
-        )?;
+        let figure = BeatCurves {
+            title: format!("The {name} over the beat"),
+            pressures,
+            volume: Curve::new(format!("{name} volume"), Look::Simulated, &times_s, &volume_ml),
+            phases: bands(clock, trajectory, ventricle),
+        };
+        beat_curves(&folder.join(format!("beat_{suffix}.png")), &figure)?;
     }
     Ok(())
 }
@@ -67,37 +71,108 @@ fn phase_name(phase: Phase) -> &'static str {
     }
 }
 
-/// Runs of one phase. A row's phase is that of the step that led to it.
-fn bands(rows: &[(f64, crate::heart::VentricleCurve)]) -> Vec<TimeBand> {
-    let mut bands: Vec<TimeBand> = Vec::new();
-    for pair in rows.windows(2) {
-        let (from_s, (to_s, curve)) = (pair[0].0, pair[1]);
-        let name = phase_name(curve.phase);
-        match bands.last_mut() {
-            Some(band) if band.name == name => band.to_s = to_s,
-            _ => bands.push(TimeBand { name: name.into(), from_s, to_s }),
-        }
-    }
-    bands
+/// The phases of the last beat between the events of its valves.
+fn bands(clock: &Clock, trajectory: &Trajectory, ventricle: Ventricle) -> Vec<TimeBand> {
+    let rows: Vec<_> = last_beat(clock, trajectory).copied().collect();
+    let Some(first) = rows.get(1).and_then(|row| row.ventricle(ventricle)) else { return Vec::new() };
+    let events = phase_events(&rows, ventricle);
+    // The phase of the first row is that of the beat before.
+    let later = events.iter().filter(|event| event.time_s > rows[1].time_s).map(|event| (event.time_s, event.begins));
+    let begins: Vec<(f64, Phase)> = std::iter::once((rows[0].time_s, first.phase)).chain(later).collect();
+    let ends = begins.iter().skip(1).map(|(time_s, _)| *time_s).chain(rows.last().map(|row| row.time_s));
+    let trigger_s = clock.last_trigger_s();
+    let band = |(&(from_s, phase), to_s): (&(f64, Phase), f64)| TimeBand {
+        name: phase_name(phase).into(),
+        from_s: from_s - trigger_s,
+        to_s: to_s - trigger_s,
+    };
+    begins.iter().zip(ends).map(band).collect()
+}
+
+/// A curve shifted in time.
+fn later(curve: &Curve, shift_s: f64) -> Curve {
+    Curve { points: curve.points.iter().map(|&(time_s, value)| (time_s + shift_s, value)).collect(), ..curve.clone() }
 }
 
 /// Where the valves open and close.
-fn corners(rows: &[(f64, crate::heart::VentricleCurve)]) -> Vec<LoopPoint> {
+fn corners(rows: &[(f64, crate::heart::VentricleCurve)], ventricle: Ventricle) -> Vec<LoopPoint> {
+    let (inflow, outflow) = if ventricle == Ventricle::Left { ("mitral", "aortic") } else { ("tricuspid", "pulmonary") };
     let named = |phase: Phase| match phase {
-        Phase::IsovolumetricContraction => Some("mitral valve closes"),
-        Phase::Ejection => Some("aortic valve opens"),
-        Phase::IsovolumetricRelaxation => Some("aortic valve closes"),
-        Phase::Filling => Some("mitral valve opens"),
+        Phase::IsovolumetricContraction => format!("{inflow} valve closes"),
+        Phase::Ejection => format!("{outflow} valve opens"),
+        Phase::IsovolumetricRelaxation => format!("{outflow} valve closes"),
+        Phase::Filling => format!("{inflow} valve opens"),
     };
-    let changes = rows.windows(2).filter(|pair| pair[0].1.phase != pair[1].1.phase);
     let mut points: Vec<LoopPoint> = Vec::new();
-    for pair in changes {
-        let (before, after) = (pair[0].1, pair[1].1);
-        if let Some(name) = named(after.phase).filter(|name| points.iter().all(|point| point.name != *name)) {
-            points.push(LoopPoint { name: name.into(), volume_ml: before.volume_ml, pressure_kpa: before.pressure_kpa });
+    for pair in rows.windows(2).filter(|pair| pair[0].1.phase != pair[1].1.phase) {
+        let (before, name) = (pair[0].1, named(pair[1].1.phase));
+        if points.iter().all(|point| point.name != name) {
+            points.push(LoopPoint { name, volume_ml: before.volume_ml, pressure_kpa: before.pressure_kpa });
         }
     }
     points
+}
+
+/// What the wall does in the last beat: the activation map and the strains by segment.
+pub(super) fn wall(plan: &Plan, model: &HeartModel, clock: &Clock, trajectory: &Trajectory) -> Result<(), RunError> {
+    let folder = &plan.output.directory;
+    surface_map(&folder.join("activation.png"), &activation_map(model))?;
+    match deformation(model, trajectory, clock) {
+        Some(beat) => Ok(strain_curves(&folder.join("strains.png"), &strains(&beat, clock.last_trigger_s()))?),
+        None => Ok(()),
+    }
+}
+
+/// Depolarisation times on the whole boundary, seen from both sides of the plane through both ventricles, a little from above.
+fn activation_map(model: &HeartModel) -> SurfaceMap {
+    const ISOCHRONES_MS: f64 = 10.0;
+    let anatomy = model.anatomy();
+    let axes = &anatomy.axes;
+    let across = axes.long_axis.cross(&axes.septal_direction);
+    let view = |name: &str, side: nalgebra::Vector3<f64>| SurfaceView {
+        name: name.into(),
+        to_eye: side + axes.long_axis * 0.45,
+        up: axes.long_axis,
+    };
+    let views = match anatomy.cavities.len() {
+        1 => vec![view("septum on the left", across), view("septum on the right", -across)],
+        _ => vec![view("right ventricle on the left", across), view("right ventricle on the right", -across)],
+    };
+    SurfaceMap {
+        title: "Activation".into(),
+        quantity: "depolarisation time (ms)".into(),
+        vertices_mm: anatomy.mesh.vertices_mm().to_vec(),
+        triangles: anatomy.surface.triangles().to_vec(),
+        values: model.activation().times_s().iter().map(|time_s| time_s * MS_PER_S).collect(),
+        band: ISOCHRONES_MS,
+        views,
+    }
+}
+
+/// The strain curves of the segments 1–16, by wall; the apical cap belongs to none.
+fn strains(beat: &BeatDeformation, trigger_s: f64) -> StrainCurves {
+    let times_s: Vec<f64> = beat.times_s.iter().map(|time_s| time_s - trigger_s).collect();
+    let panel = |direction: &str, value: fn(&Strain) -> f64| {
+        let curve = |(segment, (name, look)): (u8, (&str, Look))| {
+            let values: Vec<f64> = beat.strains_of(segment).iter().map(value).collect();
+            Curve::new(name, look, &times_s, &values)
+        };
+        let curves = (1..=16).map(|segment| (segment, wall_of(segment))).map(curve).filter(|curve| !curve.points.is_empty());
+        StrainPanel { direction: direction.into(), curves: curves.collect() }
+    };
+    let panels =
+        vec![panel("circumferential", |s| s.circumferential), panel("longitudinal", |s| s.longitudinal), panel("radial", |s| s.radial)];
+    StrainCurves { title: "Strain of the segments against end-diastole".into(), panels }
+}
+
+/// The wall that an AHA segment belongs to.
+fn wall_of(segment: u8) -> (&'static str, Look) {
+    match segment {
+        2 | 3 | 8 | 9 | 14 => ("septum", Look::Septum),
+        1 | 7 | 13 => ("anterior", Look::Anterior),
+        4 | 10 | 15 => ("inferior", Look::Inferior),
+        _ => ("lateral", Look::Lateral),
+    }
 }
 
 /// A motion with its name, for the montage.

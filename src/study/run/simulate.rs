@@ -1,51 +1,66 @@
 //! `kind = "simulate"`: the free heart.
 
+use std::ops::ControlFlow;
 use std::time::Instant;
 
+use serde::Serialize;
+
+use super::clock::Clock;
 use super::error::RunError;
 use super::forward::{beat, heart_model, observables, step_count};
 use super::leave::{BeatSummary, Summary, frame_rows, write_beat};
 use super::patient::Patient;
 use super::pictures;
+use crate::heart::{HeartModel, Periodicity, Trajectory, simulate_until_periodic};
 use crate::mesh::MeshQuality;
 use crate::report::write_json;
+use crate::study::plan::Beats;
 use crate::study::{Outcome, Plan, RunContext, Status};
 
-#[derive(serde::Serialize)]
-struct NoDetails {}
+#[derive(Serialize)]
+struct Details {
+    /// Beats simulated; the figures are of the last one.
+    beat_count: usize,
+    /// Largest difference of a cavity volume between the last two beats; known where beats go on until they repeat.
+    periodic_change_ml: Option<f64>,
+}
+
+/// A simulation with the clock of its last beat.
+struct Beaten {
+    trajectory: Trajectory,
+    clock: Clock,
+    status: Status,
+    details: Details,
+}
 
 /// Beats the plan's heart and leaves its files.
 pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
     let started = Instant::now();
-    let patient = Patient::new(plan, context)?;
-    let clock = patient.clock(plan.model.beats);
+    let mut patient = Patient::new(plan, context)?;
+    context.progress().stage("activating and assembling", None);
     let model = heart_model(&plan.model, &patient.anatomy, patient.parameters.clone())?;
-    context.progress().stage("beating", Some(step_count(&clock, plan.model.step_s)));
-    let trajectory = beat(&model, &clock, &[], context)?;
-    let status = if trajectory.stopped { Status::Stopped } else { Status::Converged };
-    let found = observables(&trajectory, &clock);
+    let Beaten { trajectory, clock, status, details } = match plan.simulation.beats {
+        Beats::Count(count) => count_beats(&model, patient.clock(count), count, context)?,
+        Beats::Periodic(periodicity) => beat_until_periodic(&model, &patient, periodicity, context)?,
+    };
+    if status == Status::IterationLimit {
+        let change_ml = details.periodic_change_ml.unwrap_or(f64::INFINITY);
+        let text = format!("after {} beats the volumes still change by {change_ml:.3} mL a beat", details.beat_count);
+        context.progress().warning(&text);
+        patient.warnings.push(text);
+    }
 
     context.progress().stage("writing results", None);
-    write_beat(plan, &model, &trajectory, &frame_rows(&clock, &trajectory, None, &[], &[]))?;
+    write_beat(plan, &model, &trajectory, &clock, &frame_rows(&clock, &trajectory, None, &[], &[]))?;
     if plan.output.figures {
         pictures::beat(plan, &clock, &trajectory, &[])?;
+        pictures::wall(plan, &model, &clock, &trajectory)?;
     }
-    let beat = BeatSummary::new(&model, &found);
-    let headlines = found.iter().map(|(ventricle, o)| {
-        format!(
-            "{ventricle:?} ventricle: EDV {:.1} mL, ESV {:.1} mL, EF {:.1} %, peak {:.0} mmHg",
-            o.end_diastolic_volume_ml,
-            o.end_systolic_volume_ml,
-            100.0 * o.ejection_fraction,
-            o.pressure_peak_mmhg
-        )
-    });
-    let headlines = headlines.collect();
     let summary = Summary {
         kind: plan.kind,
         status,
-        beat,
-        details: NoDetails {},
+        beat: BeatSummary::new(&model, &trajectory, &clock),
+        details,
         mesh: MeshQuality::of(&model.anatomy().mesh),
         warnings: &patient.warnings,
         wall_time_s: started.elapsed().as_secs_f64(),
@@ -53,5 +68,47 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     };
     write_json(&plan.output.directory.join("summary.json"), &summary)?;
     context.progress().finish();
-    Ok(Outcome { status, directory: plan.output.directory.clone(), headlines })
+    Ok(Outcome { status, directory: plan.output.directory.clone(), headlines: headlines(&trajectory, &clock) })
+}
+
+fn count_beats(model: &HeartModel, clock: Clock, beat_count: usize, context: &RunContext) -> Result<Beaten, RunError> {
+    context.progress().stage("beating", Some(step_count(&clock, model.settings().step_s)));
+    let trajectory = beat(model, &clock, &[], context)?;
+    let status = if trajectory.stopped { Status::Stopped } else { Status::Converged };
+    Ok(Beaten { trajectory, clock, status, details: Details { beat_count, periodic_change_ml: None } })
+}
+
+fn beat_until_periodic(model: &HeartModel, patient: &Patient, periodicity: Periodicity, context: &RunContext) -> Result<Beaten, RunError> {
+    context.progress().stage("beating until beats repeat", None);
+    let first = patient.clock(1);
+    let frame_times_s: Vec<f64> = first.times_s.iter().map(|time_s| time_s - first.start_s).collect();
+    let mut done = 0;
+    let mut observer = |_: &_, _: &_| {
+        context.progress().step(done);
+        done += 1;
+        if context.is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    };
+    let outcome = simulate_until_periodic(model, first.start_s, &frame_times_s, periodicity, &[], &mut observer)?;
+    let status = match (outcome.last_beat.stopped, outcome.is_periodic) {
+        (true, _) => Status::Stopped,
+        (false, true) => Status::Converged,
+        (false, false) => Status::IterationLimit,
+    };
+    let details =
+        Details { beat_count: outcome.beat_count, periodic_change_ml: Some(outcome.change_ml).filter(|change| change.is_finite()) };
+    let trajectory = Trajectory { curves: outcome.curves, ..outcome.last_beat };
+    Ok(Beaten { trajectory, clock: patient.clock(outcome.beat_count), status, details })
+}
+
+fn headlines(trajectory: &Trajectory, clock: &Clock) -> Vec<String> {
+    let headline = |(ventricle, o): (crate::anatomy::Ventricle, crate::heart::BeatObservables)| {
+        format!(
+            "{ventricle:?} ventricle: EDV {:.1} mL, ESV {:.1} mL, EF {:.1} %, peak {:.0} mmHg",
+            o.end_diastolic_volume_ml,
+            o.end_systolic_volume_ml,
+            100.0 * o.ejection_fraction,
+            o.pressure_peak_mmhg
+        )
+    };
+    observables(trajectory, clock).into_iter().map(headline).collect()
 }

@@ -36,7 +36,7 @@ pub(super) fn patient(plan: &Plan, shape: &IdealisedLv, phantom: &PhantomPlan, c
     let period_s = parameters[Parameter::HeartPeriod];
     let times_s: Vec<f64> =
         (0..phantom.frames).map(|frame| shape.reference_time_s + period_s * frame as f64 / phantom.frames as f64).collect();
-    let clock = Clock::new(0, &times_s, period_s, plan.model.beats);
+    let clock = Clock::new(0, &times_s, period_s, plan.simulation.beats.count());
     let model = heart_model(&plan.model, &anatomy, parameters.clone())?;
     context.progress().stage("beating the true heart", Some(step_count(&clock, plan.model.step_s)));
     let trajectory = beat(&model, &clock, &[], context)?;
@@ -71,6 +71,7 @@ pub(super) fn patient(plan: &Plan, shape: &IdealisedLv, phantom: &PhantomPlan, c
         images: Some(images),
         truth: Some(truth),
         reference_s: shape.reference_time_s,
+        frames_without_images: plan.simulation.frames,
         warnings,
     })
 }

@@ -5,7 +5,7 @@ use std::time::Instant;
 use serde::Serialize;
 
 use super::error::RunError;
-use super::forward::{heart_model, observables};
+use super::forward::heart_model;
 use super::leave::{BeatSummary, Summary, frame_rows, write_base_motion, write_beat};
 use super::patient::Patient;
 use super::personalise::{TrackingSummary, ValidationSummary, tracking_summary, validation_summary};
@@ -33,7 +33,7 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
 
     context.progress().stage("writing results", None);
     let truth_ml: &[f64] = patient.truth.as_ref().map_or(&[], |truth| &truth.volumes_lv_ml);
-    write_beat(plan, &model, trajectory, &frame_rows(&clock, trajectory, Some(&tracked), &[], truth_ml))?;
+    write_beat(plan, &model, trajectory, &clock, &frame_rows(&clock, trajectory, Some(&tracked), &[], truth_ml))?;
     write_base_motion(&plan.output.directory, &clock, &model, trajectory)?;
     if plan.output.figures {
         pictures::beat(plan, &clock, trajectory, &[])?;
@@ -46,7 +46,7 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let summary = Summary {
         kind: plan.kind,
         status,
-        beat: BeatSummary::new(&model, &observables(trajectory, &clock)),
+        beat: BeatSummary::new(&model, trajectory, &clock),
         details,
         mesh: MeshQuality::of(&patient.anatomy.mesh),
         warnings: &patient.warnings.iter().chain(&tracked.motion.warnings).cloned().collect::<Vec<_>>(),
