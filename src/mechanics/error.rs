@@ -21,6 +21,14 @@ pub enum MechanicsError {
     /// The fibre axes of a tetrahedron are not orthonormal.
     #[error("the fibre axes of tetrahedron {tetrahedron} are not orthonormal (defect {defect:.2e}); normalise them")]
     FibreAxes { tetrahedron: usize, defect: f64 },
+    /// A tetrahedron is flat or inside out, so its rotation is not defined.
+    #[error("tetrahedron {tetrahedron} is flat or inside out in the deformed mesh; shorten the step, or stiffen the tissue")]
+    InvertedElement { tetrahedron: usize },
+    /// A system of the wrong kinematics, or one that was not linearised, is solved.
+    #[error(
+        "the step system is not linearised: corotational kinematics need trial positions before they are solved, and a system of their own"
+    )]
+    NotLinearised,
     /// The linear system of a step could not be solved.
     #[error("the step system could not be solved: {0}")]
     Solve(#[from] LinearSolveError),

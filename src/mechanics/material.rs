@@ -105,6 +105,21 @@ impl TransverseIsotropy {
         })
     }
 
+    /// Stiffness of normal strains in fibre axes, kPa.
+    pub(super) fn normal_kpa(&self) -> Matrix3<f64> {
+        self.normal_kpa
+    }
+
+    /// Shear moduli G_ij off the diagonal, kPa.
+    pub(super) fn shear_kpa(&self) -> &Matrix3<f64> {
+        &self.shear_kpa
+    }
+
+    /// Stiffness against a change of volume without a change of shape, kPa.
+    pub(super) fn bulk_kpa(&self) -> f64 {
+        self.normal_kpa.sum() / 9.0
+    }
+
     /// Stress in fibre axes, kPa, of a small symmetric strain in fibre axes.
     pub fn stress_kpa(&self, strain: &Matrix3<f64>) -> Matrix3<f64> {
         let normal = self.normal_kpa * strain.diagonal();

@@ -1,7 +1,10 @@
 //! Active and visco-elastic mechanics of the myocardium, \[Billet2009\] §2; every force is a load on one step system.
 
 mod contraction;
+mod corotational;
+mod element;
 mod error;
+mod kinematics;
 mod material;
 mod myocardium;
 mod scheme;
@@ -13,11 +16,12 @@ use nalgebra::{Matrix3, Vector3};
 
 pub use contraction::ContractionLaw;
 pub use error::MechanicsError;
+pub use kinematics::{Kinematics, Tangent};
 pub use material::{PassiveProperties, TransverseIsotropy};
 pub use myocardium::Myocardium;
 pub use scheme::TimeScheme;
 pub use solver::{SolvePath, SolveReport, SolveSettings, StepSolver};
-pub use step::StepOperator;
+pub use step::{StepOperator, StepSettings};
 
 /// How every vertex moves at one instant.
 #[derive(Debug, Clone, PartialEq)]
@@ -53,6 +57,8 @@ pub struct StepSystem {
     pub force_mn: Vec<Vector3<f64>>,
     /// Diagonal blocks of K_img a vertex, kPa·mm (= mN/mm); zero where there is no load.
     pub stiffness_mn_per_mm: Vec<Matrix3<f64>>,
+    /// Internal forces and their tangent, in corotational kinematics; see [`StepOperator::linearise`].
+    pub tangent: Option<Tangent>,
 }
 
 /// A force that the data exert during one step. Implementations add to the system and never edit a state.

@@ -4,6 +4,8 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::corotational::PointLaw;
+use super::element::Element;
 use super::springs::SurfaceSprings;
 use super::{MechanicsError, PassiveProperties, TransverseIsotropy};
 use crate::mesh::{SurfaceTag, TaggedSurface, TetMesh};
@@ -28,6 +30,8 @@ pub struct Myocardium {
     tetrahedra: Vec<[usize; 4]>,
     /// −V f (f·∇N_a), mm²: the force at corner a of a unit fibre tension.
     contraction_mm2: Vec<[Vector3<f64>; 4]>,
+    material: TransverseIsotropy,
+    elements: Vec<Element>,
     structure: Arc<CholeskyStructure>,
     stiffness: BlockMatrix,
     vertex_mass_kg: Vec<f64>,
@@ -85,10 +89,12 @@ impl Myocardium {
         let mut stiffness = BlockMatrix::zeros(Arc::clone(structure.pattern()));
         let mut vertex_mass_kg = vec![0.0; mesh.vertex_count()];
         let mut contraction_mm2 = Vec::with_capacity(mesh.tetrahedron_count());
+        let mut elements = Vec::with_capacity(mesh.tetrahedron_count());
         for (tetrahedron, (corners, axes)) in mesh.tetrahedra().iter().zip(fibre_axes).enumerate() {
             let volume_mm3 = mesh.volume_mm3(tetrahedron);
             let gradients = shape_gradients(&mesh.corners_mm(tetrahedron));
             add_element_stiffness(&mut stiffness, corners, &gradients, axes, volume_mm3, &material)?;
+            elements.push(Element::new(&gradients, axes, volume_mm3));
             let fibre = axes.column(0).into_owned();
             contraction_mm2.push(gradients.map(|gradient| fibre * (-volume_mm3 * fibre.dot(&gradient))));
             for &vertex in corners {
@@ -105,6 +111,8 @@ impl Myocardium {
             tetrahedra: mesh.tetrahedra().to_vec(),
             rest_mm,
             contraction_mm2,
+            material,
+            elements,
             structure,
             stiffness,
             vertex_mass_kg,
@@ -176,6 +184,40 @@ impl Myocardium {
             force[vertex] += block * displacement[vertex];
         }
         displacement.iter().zip(&force).map(|(u, f)| u.dot(f)).sum::<f64>() / 2.0
+    }
+
+    /// Corners of the tetrahedra.
+    pub(super) fn tetrahedra(&self) -> &[[usize; 4]] {
+        &self.tetrahedra
+    }
+
+    /// The tetrahedra as corotational kinematics see them.
+    pub(super) fn elements(&self) -> &[Element] {
+        &self.elements
+    }
+
+    /// The passive material.
+    pub(super) fn material(&self) -> &TransverseIsotropy {
+        &self.material
+    }
+
+    /// Energy of the tissue at rest of motion in corotational kinematics, mN·mm: its stretch and the tension σC (kPa a tetrahedron) of
+    /// its fibres; no springs.
+    ///
+    /// # Errors
+    /// [`MechanicsError::FieldSize`] for fields of the wrong size, [`MechanicsError::InvertedElement`] for a tetrahedron that is flat or
+    /// inside out.
+    pub fn corotational_energy_mn_mm(&self, position_mm: &[Vector3<f64>], tension_kpa: &[f64]) -> Result<f64, MechanicsError> {
+        check_size("tensions, one a tetrahedron", self.elements.len(), tension_kpa.len())?;
+        check_size("positions, one a vertex", self.rest_mm.len(), position_mm.len())?;
+        let rest_stretch = Matrix3::identity();
+        let energy = |(tetrahedron, element): (usize, &Element)| {
+            let law =
+                PointLaw { material: &self.material, stiffening: 1.0, rest_stretch: &rest_stretch, tension_kpa: tension_kpa[tetrahedron] };
+            let corners_mm = self.tetrahedra[tetrahedron].map(|corner| position_mm[corner]);
+            element.energy_mn_mm(law, corners_mm).ok_or(MechanicsError::InvertedElement { tetrahedron })
+        };
+        self.elements.iter().enumerate().map(energy).sum()
     }
 
     /// Base springs.

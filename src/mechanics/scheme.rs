@@ -98,6 +98,22 @@ impl Coefficients {
         self.predicted_position(state, vertex) * self.damping_factor() - self.predicted_velocity(state, vertex)
     }
 
+    /// Where a vertex may be at the step's end, and the velocity that the scheme then gives it: what damping that is not linear in
+    /// the position is linearised about. Extrapolated in the second-order scheme, to keep its order; for backward Euler where the
+    /// vertex is, at rest.
+    pub(super) fn extrapolated(&self, state: &MotionState, vertex: usize) -> (Vector3<f64>, Vector3<f64>) {
+        if self.is_first_order() {
+            return (state.position_mm[vertex], Vector3::zeros());
+        }
+        let (y, v, a) = (state.position_mm[vertex], state.velocity_mm_per_s[vertex], state.acceleration_mm_per_s2[vertex]);
+        let position_mm = y + v * self.step_s + a * (self.step_s * self.step_s / 2.0);
+        (position_mm, position_mm * self.damping_factor() - self.damping_on_the_right(state, vertex))
+    }
+
+    fn is_first_order(&self) -> bool {
+        self.beta == 1.0
+    }
+
     /// The state whose positions are `position_mm`.
     pub(super) fn advance(&self, state: &MotionState, position_mm: Vec<Vector3<f64>>) -> MotionState {
         let count = position_mm.len();

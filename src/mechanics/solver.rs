@@ -84,6 +84,28 @@ struct Preconditioner {
     is_fresh: bool,
 }
 
+/// K̃ + K_img: the operator's own matrix or a tangent, and the blocks that data add to its diagonal.
+#[derive(Clone, Copy)]
+struct StepMatrix<'a> {
+    operator: &'a StepOperator,
+    matrix: &'a BlockMatrix,
+    stiffness_mn_per_mm: &'a [Matrix3<f64>],
+}
+
+impl StepMatrix<'_> {
+    /// Whether the operator's factor is that of this matrix.
+    fn is_constant(&self) -> bool {
+        std::ptr::eq(self.matrix, self.operator.matrix()) && self.stiffness_mn_per_mm.iter().all(|block| *block == Matrix3::zeros())
+    }
+
+    fn multiply(&self, x: &[Vector3<f64>], product: &mut [Vector3<f64>]) {
+        self.matrix.multiply(x, product);
+        for ((y, block), x) in product.iter_mut().zip(self.stiffness_mn_per_mm).zip(x) {
+            *y += block * x;
+        }
+    }
+}
+
 /// The last responses: where the next ones start from.
 #[derive(Debug, Default)]
 struct Guesses {
@@ -112,6 +134,9 @@ impl StepSolver {
     ) -> Result<SolveReport, MechanicsError> {
         let stiffness = &system.stiffness_mn_per_mm;
         let count = operator.myocardium().vertex_count();
+        if system.tangent.is_some() {
+            return Err(MechanicsError::NotLinearised);
+        }
         check_size("positions, one a vertex", count, position_mm.len())?;
         check_size("forces, one a vertex", count, system.force_mn.len())?;
         check_size("stiffness blocks, one a vertex", count, stiffness.len())?;
@@ -119,7 +144,9 @@ impl StepSolver {
         let mut columns = self.take_columns(responses);
         columns[0].resize(count, Vector3::zeros());
         let reference_norm = self.subtract_position(operator, system, position_mm, &mut columns[0]);
-        let report = self.solve_columns(operator, stiffness, &mut columns[..=responses.len()], Some(reference_norm));
+        let matrix = StepMatrix { operator, matrix: operator.matrix(), stiffness_mn_per_mm: stiffness };
+        let tolerance = self.settings.relative_tolerance;
+        let report = self.solve_columns(matrix, &mut columns[..=responses.len()], Some(reference_norm), tolerance);
         for (position, correction) in position_mm.iter_mut().zip(&columns[0]) {
             *position += correction;
         }
@@ -147,7 +174,38 @@ impl StepSolver {
         let count = operator.myocardium().vertex_count();
         check_responses(count, responses)?;
         check_size("stiffness blocks, one a vertex", count, stiffness_mn_per_mm.len())?;
-        self.solve_columns(operator, stiffness_mn_per_mm, responses, None)
+        let matrix = StepMatrix { operator, matrix: operator.matrix(), stiffness_mn_per_mm };
+        self.solve_columns(matrix, responses, None, self.settings.relative_tolerance)
+    }
+
+    /// One correction of Newton's method in corotational kinematics: solves $(K_T + K_{img})\,\delta = r$ for the residual in the first
+    /// column and for the forces in the others, in place (mN in, mm out), to a tolerance of its own relative to each column.
+    ///
+    /// # Errors
+    /// [`MechanicsError::NotLinearised`] if the system has no tangent, and as [`StepSolver::solve`].
+    pub fn correct(
+        &mut self,
+        operator: &StepOperator,
+        system: &StepSystem,
+        columns: &mut [Vec<Vector3<f64>>],
+        relative_tolerance: f64,
+    ) -> Result<SolveReport, MechanicsError> {
+        let Some(tangent) = system.tangent.as_ref().filter(|tangent| tangent.is_linearised()) else {
+            return Err(MechanicsError::NotLinearised);
+        };
+        let count = operator.myocardium().vertex_count();
+        check_responses(count, columns)?;
+        check_size("stiffness blocks, one a vertex", count, system.stiffness_mn_per_mm.len())?;
+        let matrix = StepMatrix { operator, matrix: tangent.matrix(), stiffness_mn_per_mm: &system.stiffness_mn_per_mm };
+        let Some(first) = columns.first() else {
+            return Ok(SolveReport { path: SolvePath::Direct, iteration_count: 0, relative_residual: 0.0, was_refactorised: false });
+        };
+        let reference = norm(first);
+        let report = self.solve_columns(matrix, columns, Some(reference), relative_tolerance)?;
+        if let Some(preconditioner) = &mut self.preconditioner {
+            preconditioner.served(report.iteration_count);
+        }
+        Ok(report)
     }
 
     /// The correction of the guess is solved for, so that coordinates far from the origin cost no digits: writes F − A y and gives
@@ -160,7 +218,8 @@ impl StepSolver {
         residual: &mut [Vector3<f64>],
     ) -> f64 {
         let mut defect = |position_mm: &[Vector3<f64>]| {
-            apply(operator, &system.stiffness_mn_per_mm, position_mm, residual);
+            let matrix = StepMatrix { operator, matrix: operator.matrix(), stiffness_mn_per_mm: &system.stiffness_mn_per_mm };
+            matrix.multiply(position_mm, residual);
             residual.iter_mut().zip(&system.force_mn).for_each(|(residual, force)| *residual = force - *residual);
             norm(residual)
         };
@@ -183,23 +242,23 @@ impl StepSolver {
     /// Solves for a position's correction, if its reference norm is given, and for the responses that follow.
     fn solve_columns(
         &mut self,
-        operator: &StepOperator,
-        stiffness_mn_per_mm: &[Matrix3<f64>],
+        matrix: StepMatrix<'_>,
         columns: &mut [Vec<Vector3<f64>>],
         position_reference: Option<f64>,
+        relative_tolerance: f64,
     ) -> Result<SolveReport, MechanicsError> {
-        if stiffness_mn_per_mm.iter().all(|block| *block == Matrix3::zeros()) {
-            return self.solve_directly(operator, columns);
+        if matrix.is_constant() {
+            return self.solve_directly(matrix.operator, columns);
         }
-        let was_refactorised = self.prepare_preconditioner(operator, stiffness_mn_per_mm)?;
+        let was_refactorised = self.prepare_preconditioner(matrix)?;
         let first_response = usize::from(position_reference.is_some());
         self.reference_norms.clear();
         self.reference_norms.extend(position_reference);
         self.reference_norms.extend(columns[first_response..].iter().map(|column| norm(column)));
-        let product = |x: &[Vector3<f64>], y: &mut [Vector3<f64>]| apply(operator, stiffness_mn_per_mm, x, y);
+        let product = |x: &[Vector3<f64>], y: &mut [Vector3<f64>]| matrix.multiply(x, y);
         self.guesses.subtract(&product, &mut columns[first_response..]);
-        let is_symmetric = stiffness_mn_per_mm.iter().all(is_symmetric);
-        let (path, report) = self.iterate(operator, &product, is_symmetric, columns)?;
+        let is_symmetric = matrix.stiffness_mn_per_mm.iter().all(is_symmetric);
+        let (path, report) = self.iterate(matrix.operator, &product, is_symmetric, columns, relative_tolerance)?;
         self.guesses.add_and_keep(&mut columns[first_response..]);
         let KrylovReport { iteration_count, relative_residual } = report;
         Ok(SolveReport { path, iteration_count, relative_residual, was_refactorised })
@@ -221,9 +280,9 @@ impl StepSolver {
         product: &Product<'_>,
         is_symmetric: bool,
         columns: &mut [Vec<Vector3<f64>>],
+        relative_tolerance: f64,
     ) -> Result<(SolvePath, KrylovReport), MechanicsError> {
-        let SolveSettings { relative_tolerance, iteration_limit, .. } = self.settings;
-        let limits = KrylovLimits { relative_tolerance, iteration_limit };
+        let limits = KrylovLimits { relative_tolerance, iteration_limit: self.settings.iteration_limit };
         let (direct, single) = (&mut self.direct, &mut self.single);
         let factor = self.preconditioner.as_ref().and_then(|kept| kept.factor.as_ref());
         let mut precondition = |columns: &mut [Vec<Vector3<f64>>]| match factor {
@@ -241,7 +300,8 @@ impl StepSolver {
     }
 
     /// Factorises K̃ + sym⁺(K_img) if there is no preconditioner for this operator or the last one served badly.
-    fn prepare_preconditioner(&mut self, operator: &StepOperator, stiffness_mn_per_mm: &[Matrix3<f64>]) -> Result<bool, MechanicsError> {
+    fn prepare_preconditioner(&mut self, step: StepMatrix<'_>) -> Result<bool, MechanicsError> {
+        let operator = step.operator;
         let kept = self
             .preconditioner
             .take()
@@ -252,10 +312,10 @@ impl StepSolver {
                 return Ok(false);
             }
             Some(kept) => (kept.matrix, kept.factor),
-            None => (operator.matrix().clone(), None),
+            None => (step.matrix.clone(), None),
         };
-        matrix.copy_from(operator.matrix());
-        for (vertex, block) in stiffness_mn_per_mm.iter().enumerate().filter(|(_, block)| **block != Matrix3::zeros()) {
+        matrix.copy_from(step.matrix);
+        for (vertex, block) in step.stiffness_mn_per_mm.iter().enumerate().filter(|(_, block)| **block != Matrix3::zeros()) {
             matrix.add_to_diagonal(vertex, &positive_part(block));
         }
         let factorised = match factor {
@@ -322,14 +382,6 @@ fn check_responses(count: usize, responses: &[Vec<Vector3<f64>>]) -> Result<(), 
 
 fn norm(field: &[Vector3<f64>]) -> f64 {
     field.iter().map(|v| v.norm_squared()).sum::<f64>().sqrt()
-}
-
-/// (K̃ + K_img) x.
-fn apply(operator: &StepOperator, stiffness_mn_per_mm: &[Matrix3<f64>], x: &[Vector3<f64>], product: &mut [Vector3<f64>]) {
-    operator.matrix().multiply(x, product);
-    for ((y, block), x) in product.iter_mut().zip(stiffness_mn_per_mm).zip(x) {
-        *y += block * x;
-    }
 }
 
 fn is_symmetric(block: &Matrix3<f64>) -> bool {

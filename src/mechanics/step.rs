@@ -4,63 +4,94 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::kinematics::CorotationalConstants;
 use super::myocardium::check_size;
 use super::scheme::Coefficients;
-use super::{MechanicsError, MotionState, Myocardium, StepSystem, TimeScheme};
+use super::{Kinematics, MechanicsError, MotionState, Myocardium, StepSystem, Tangent, TimeScheme};
 use crate::numerics::{BlockMatrix, CholeskyFactor, CholeskyWorkspace};
 
-/// A fixed step h of a [`TimeScheme`]. For backward Euler
+/// How a step is taken.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepSettings {
+    /// The step h, s.
+    pub step_s: f64,
+    /// How time is discretised.
+    pub scheme: TimeScheme,
+    /// How strain is measured.
+    pub kinematics: Kinematics,
+}
+
+/// A fixed step h of a [`TimeScheme`]. For backward Euler and linear kinematics
 ///
 /// $$\tilde K = \frac{M}{h^2} + \frac{C}{h} + K + S, \qquad
 /// F = \frac{M}{h^2}(y + h v) + \frac{C}{h}\,y + K x + S a + F_{ext}$$
 ///
 /// with the springs S towards their anchors a; generalised-α has other factors of M and C and their history on the right.
 /// $\tilde K$ is constant, and factorised once.
+///
+/// Corotational kinematics have internal forces $f_{int}(y)$ in the place of $K (y - x)$, $\beta K v$ and the contraction, which hold
+/// in the frame of each tetrahedron's rotation. [`StepOperator::linearise`] gives their tangent, which takes the place of
+/// $\tilde K$; a step is solved by Newton's method on [`StepOperator::residual`].
 #[derive(Debug)]
 pub struct StepOperator {
     myocardium: Arc<Myocardium>,
-    step_s: f64,
-    scheme: TimeScheme,
+    settings: StepSettings,
     coefficients: Coefficients,
     matrix: BlockMatrix,
-    damping: BlockMatrix,
-    /// K x + S_p x, mN: the elastic constants on the right.
+    damping: Damping,
+    /// S_p x and, in linear kinematics, K x, mN: the elastic constants on the right.
     rest_force_mn: Vec<Vector3<f64>>,
     factor: CholeskyFactor,
 }
 
+/// C, or the part of it that is constant.
+#[derive(Debug)]
+enum Damping {
+    /// αM + βK and the pericardial dashpots, mN·s/mm.
+    Linear(BlockMatrix),
+    /// αM and the pericardial dashpots, mN·s/mm.
+    Corotational(Vec<Matrix3<f64>>, CorotationalConstants),
+}
+
 impl StepOperator {
-    /// Assembles and factorises the step matrix of backward Euler.
+    /// Assembles and factorises the step matrix of backward Euler with linear kinematics.
     ///
     /// # Errors
-    /// As [`StepOperator::with_scheme`].
+    /// As [`StepOperator::with_settings`].
     pub fn new(myocardium: Arc<Myocardium>, step_s: f64) -> Result<Self, MechanicsError> {
-        Self::with_scheme(myocardium, step_s, TimeScheme::BackwardEuler)
+        let settings = StepSettings { step_s, scheme: TimeScheme::BackwardEuler, kinematics: Kinematics::Linear };
+        Self::with_settings(myocardium, settings)
     }
 
-    /// Assembles and factorises the step matrix of a scheme.
+    /// Assembles and factorises the step matrix; in corotational kinematics that of the tissue at rest.
     ///
     /// # Errors
     /// [`MechanicsError::Property`] for a step that is not positive or a spectral radius outside 0 to 1,
     /// [`MechanicsError::Solve`] if the matrix is not positive definite.
-    pub fn with_scheme(myocardium: Arc<Myocardium>, step_s: f64, scheme: TimeScheme) -> Result<Self, MechanicsError> {
-        let coefficients = scheme.coefficients(step_s)?;
+    pub fn with_settings(myocardium: Arc<Myocardium>, settings: StepSettings) -> Result<Self, MechanicsError> {
+        let coefficients = settings.scheme.coefficients(settings.step_s)?;
         let damping = damping_matrix(&myocardium);
         let mut matrix = myocardium.stiffness().clone();
         matrix.add_scaled(coefficients.damping_factor(), &damping);
+        let mut rest_force_mn = vec![Vector3::zeros(); myocardium.vertex_count()];
         for (vertex, mass_kg) in myocardium.vertex_mass_kg().iter().enumerate() {
             matrix.add_to_diagonal(vertex, &(Matrix3::identity() * (mass_kg * coefficients.mass_factor())));
         }
         for (vertex, block) in myocardium.base().iter().chain(myocardium.pericardium_springs().iter()) {
             matrix.add_to_diagonal(vertex, block);
         }
-        let mut rest_force_mn = vec![Vector3::zeros(); myocardium.vertex_count()];
-        myocardium.stiffness().multiply(myocardium.rest_mm(), &mut rest_force_mn);
+        let damping = match settings.kinematics {
+            Kinematics::Linear => {
+                myocardium.stiffness().multiply(myocardium.rest_mm(), &mut rest_force_mn);
+                Damping::Linear(damping)
+            }
+            Kinematics::Corotational => corotational_damping(&myocardium, coefficients),
+        };
         for (vertex, block) in myocardium.pericardium_springs().iter() {
             rest_force_mn[vertex] += block * myocardium.rest_mm()[vertex];
         }
         let factor = CholeskyFactor::new(Arc::clone(myocardium.structure()), &matrix, &mut CholeskyWorkspace::default())?;
-        Ok(Self { myocardium, step_s, scheme, coefficients, matrix, damping, rest_force_mn, factor })
+        Ok(Self { myocardium, settings, coefficients, matrix, damping, rest_force_mn, factor })
     }
 
     /// The tissue.
@@ -70,26 +101,31 @@ impl StepOperator {
 
     /// The step h, s.
     pub fn step_s(&self) -> f64 {
-        self.step_s
+        self.settings.step_s
     }
 
-    /// The scheme.
-    pub fn scheme(&self) -> TimeScheme {
-        self.scheme
+    /// How a step is taken.
+    pub fn settings(&self) -> StepSettings {
+        self.settings
     }
 
     /// A system of the right size, all zero.
     pub fn empty_system(&self) -> StepSystem {
         let count = self.myocardium.vertex_count();
-        StepSystem { force_mn: vec![Vector3::zeros(); count], stiffness_mn_per_mm: vec![Matrix3::zeros(); count] }
+        let tangent = match self.settings.kinematics {
+            Kinematics::Linear => None,
+            Kinematics::Corotational => Some(Tangent::new(&self.myocardium)),
+        };
+        StepSystem { force_mn: vec![Vector3::zeros(); count], stiffness_mn_per_mm: vec![Matrix3::zeros(); count], tangent }
     }
 
     /// Starts a step's system: sets the force to inertia, damping, elastic constants and base springs, and the stiffness to zero.
-    /// External loads are added to it afterwards. `base_anchor_mm` moves the anchors of the base springs: one position a vertex of
+    /// In corotational kinematics elasticity and its damping are left to [`StepOperator::linearise`]. External loads are added to it afterwards. `base_anchor_mm` moves the anchors of the base springs: one position a vertex of
     /// [`Myocardium::base_vertices`]; without it they are at rest.
     ///
     /// # Errors
-    /// [`MechanicsError::FieldSize`] if a field has the wrong number of entries.
+    /// [`MechanicsError::FieldSize`] if a field has the wrong number of entries, [`MechanicsError::InvertedElement`] if corotational
+    /// kinematics meet a tetrahedron that is flat or inside out.
     pub fn assemble(
         &self,
         state: &MotionState,
@@ -107,7 +143,14 @@ impl StepOperator {
         system.stiffness_mn_per_mm.fill(Matrix3::zeros());
         system.force_mn.copy_from_slice(&self.rest_force_mn);
         let damped: Vec<Vector3<f64>> = (0..count).map(|vertex| self.coefficients.damping_on_the_right(state, vertex)).collect();
-        self.damping.multiply_add(1.0, &damped, &mut system.force_mn);
+        match (&self.damping, &mut system.tangent) {
+            (Damping::Linear(damping), None) => damping.multiply_add(1.0, &damped, &mut system.force_mn),
+            (Damping::Corotational(damping, _), Some(tangent)) => {
+                tangent.begin(tissue, state, &self.coefficients)?;
+                system.force_mn.iter_mut().zip(damping).zip(&damped).for_each(|((force, block), damped)| *force += block * damped);
+            }
+            _ => return Err(MechanicsError::NotLinearised),
+        }
         for (vertex, (force, mass_kg)) in system.force_mn.iter_mut().zip(tissue.vertex_mass_kg()).enumerate() {
             *force += self.coefficients.inertia_on_the_right(state, vertex) * *mass_kg;
         }
@@ -117,6 +160,75 @@ impl StepOperator {
         for (index, (vertex, block)) in tissue.base().iter().enumerate() {
             let anchor = base_anchor_mm.map_or(tissue.rest_mm()[vertex], |anchor_mm| anchor_mm[index]);
             system.force_mn[vertex] += block * anchor;
+        }
+        Ok(())
+    }
+
+    /// Adds the contraction σC, kPa a tetrahedron, to a step's system: as a force in linear kinematics; in corotational ones as a
+    /// tension that turns with the fibre, once [`StepOperator::linearise`] is called.
+    ///
+    /// # Errors
+    /// [`MechanicsError::FieldSize`] if a field has the wrong number of entries.
+    pub fn add_contraction(&self, stress_kpa: &[f64], system: &mut StepSystem) -> Result<(), MechanicsError> {
+        let Some(tangent) = &mut system.tangent else {
+            return self.myocardium.add_contraction_force(stress_kpa, &mut system.force_mn);
+        };
+        check_size("contraction stresses, one a tetrahedron", self.myocardium.tetrahedron_count(), stress_kpa.len())?;
+        tangent.set_tension(stress_kpa);
+        Ok(())
+    }
+
+    /// Takes a corotational system to trial positions of the step's end: internal forces and their tangent there. Nothing is to be
+    /// done in linear kinematics.
+    ///
+    /// # Errors
+    /// [`MechanicsError::FieldSize`], or [`MechanicsError::InvertedElement`] if a tetrahedron is flat or inside out there.
+    pub fn linearise(&self, trial_mm: &[Vector3<f64>], system: &mut StepSystem) -> Result<(), MechanicsError> {
+        check_size("trial positions, one a vertex", self.myocardium.vertex_count(), trial_mm.len())?;
+        match (&self.damping, &mut system.tangent) {
+            (Damping::Corotational(_, constants), Some(tangent)) => tangent.linearise(&self.myocardium, constants, trial_mm),
+            _ => Ok(()),
+        }
+    }
+
+    /// Takes the internal forces of a corotational system to other trial positions than it was linearised about, and leaves the
+    /// tangent.
+    ///
+    /// # Errors
+    /// As [`StepOperator::linearise`]; the forces are then undefined.
+    pub fn update_force(&self, trial_mm: &[Vector3<f64>], system: &mut StepSystem) -> Result<(), MechanicsError> {
+        check_size("trial positions, one a vertex", self.myocardium.vertex_count(), trial_mm.len())?;
+        system.tangent.as_mut().map_or(Ok(()), |tangent| tangent.update_force(&self.myocardium, trial_mm))
+    }
+
+    /// Writes what is left of the balance of forces at the trial positions of a corotational system, mN.
+    ///
+    /// # Errors
+    /// [`MechanicsError::FieldSize`] if a field has the wrong number of entries, [`MechanicsError::NotLinearised`] if the system is not
+    /// corotational.
+    pub fn residual(&self, system: &StepSystem, residual_mn: &mut [Vector3<f64>]) -> Result<(), MechanicsError> {
+        let (Damping::Corotational(_, constants), Some(tangent)) = (&self.damping, &system.tangent) else {
+            return Err(MechanicsError::NotLinearised);
+        };
+        check_size("residuals, one a vertex", self.myocardium.vertex_count(), residual_mn.len())?;
+        for (vertex, residual) in residual_mn.iter_mut().enumerate() {
+            let stiffness = constants.diagonal_mn_per_mm[vertex] + system.stiffness_mn_per_mm[vertex];
+            *residual = system.force_mn[vertex] - tangent.force_mn()[vertex] - stiffness * tangent.trial_mm()[vertex];
+        }
+        Ok(())
+    }
+
+    /// Writes (K_T + K_img) x, the derivative of minus the residual along x, mN.
+    ///
+    /// # Errors
+    /// [`MechanicsError::FieldSize`] if a field has the wrong number of entries, [`MechanicsError::NotLinearised`] if the system is not.
+    pub fn multiply(&self, system: &StepSystem, x: &[Vector3<f64>], product_mn: &mut [Vector3<f64>]) -> Result<(), MechanicsError> {
+        let tangent = system.tangent.as_ref().filter(|tangent| tangent.is_linearised()).ok_or(MechanicsError::NotLinearised)?;
+        check_size("directions, one a vertex", self.myocardium.vertex_count(), x.len())?;
+        check_size("products, one a vertex", self.myocardium.vertex_count(), product_mn.len())?;
+        tangent.matrix().multiply(x, product_mn);
+        for ((product, block), x) in product_mn.iter_mut().zip(&system.stiffness_mn_per_mm).zip(x) {
+            *product += block * x;
         }
         Ok(())
     }
@@ -149,4 +261,21 @@ fn damping_matrix(tissue: &Myocardium) -> BlockMatrix {
         damping.add_to_diagonal(vertex, block);
     }
     damping
+}
+
+/// The part of C that does not turn with the tissue, and what else is constant in corotational kinematics.
+fn corotational_damping(tissue: &Myocardium, coefficients: Coefficients) -> Damping {
+    let alpha_per_s = tissue.properties().damping_mass_per_s;
+    let mut damping: Vec<_> = tissue.vertex_mass_kg().iter().map(|mass_kg| Matrix3::identity() * (alpha_per_s * mass_kg)).collect();
+    for (vertex, block) in tissue.pericardium_dashpots().iter() {
+        damping[vertex] += block;
+    }
+    let mut diagonal: Vec<_> = damping.iter().map(|block| block * coefficients.damping_factor()).collect();
+    for (block, mass_kg) in diagonal.iter_mut().zip(tissue.vertex_mass_kg()) {
+        *block += Matrix3::identity() * (mass_kg * coefficients.mass_factor());
+    }
+    for (vertex, block) in tissue.base().iter().chain(tissue.pericardium_springs().iter()) {
+        diagonal[vertex] += block;
+    }
+    Damping::Corotational(damping, CorotationalConstants::new(tissue, diagonal))
 }
