@@ -188,8 +188,10 @@ impl Tangent {
         &self.matrix
     }
 
-    /// Adds stiffness between two vertices, mN/mm; blocks between vertices that no tetrahedron joins are left out.
-    pub(super) fn add_stiffness(&mut self, row: usize, column: usize, block: &Matrix3<f64>) {
+    /// Adds to K̃ a stiffness between two vertices (mN/mm) of a force that changes with the motion, as a pressure's does; after
+    /// [`StepOperator::linearise`](super::StepOperator::linearise), which starts afresh. Between vertices that no tetrahedron joins
+    /// nothing is added.
+    pub fn add_stiffness(&mut self, row: usize, column: usize, block: &Matrix3<f64>) {
         let _is_stored = self.matrix.add_block(row, column, block);
     }
 

@@ -59,8 +59,15 @@ impl StepOperator {
     /// # Errors
     /// As [`StepOperator::with_settings`].
     pub fn new(myocardium: Arc<Myocardium>, step_s: f64) -> Result<Self, MechanicsError> {
-        let settings = StepSettings { step_s, scheme: TimeScheme::BackwardEuler, kinematics: Kinematics::Linear };
-        Self::with_settings(myocardium, settings)
+        Self::with_scheme(myocardium, step_s, TimeScheme::BackwardEuler)
+    }
+
+    /// Assembles and factorises the step matrix of a scheme with linear kinematics.
+    ///
+    /// # Errors
+    /// As [`StepOperator::with_settings`].
+    pub fn with_scheme(myocardium: Arc<Myocardium>, step_s: f64, scheme: TimeScheme) -> Result<Self, MechanicsError> {
+        Self::with_settings(myocardium, StepSettings { step_s, scheme, kinematics: Kinematics::Linear })
     }
 
     /// Assembles and factorises the step matrix; in corotational kinematics that of the tissue at rest.
