@@ -5,9 +5,10 @@ use nalgebra::Vector3;
 use super::fibres::local_axes;
 use super::mesher::{MesherSettings, WallShape, mesh_wall};
 use super::segments::{aha_segment, cavity_depth_mm, heart_axes, region_of_segment};
-use super::{Anatomy, AnatomyError, DEFAULT_SEPTAL_DIRECTION, FibreRule, Ventricle, laplace};
+use super::transmural::{lay_out_biventricle, lay_out_lv};
+use super::{Anatomy, AnatomyError, DEFAULT_SEPTAL_DIRECTION, FibreRule, Region, Ventricle};
 use crate::image::{VentricleFields, Volume};
-use crate::mesh::{MeshError, SurfaceTag, TaggedSurface, TetMesh};
+use crate::mesh::{TaggedSurface, TetMesh};
 
 /// What a mesh alone does not say.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,7 +16,7 @@ pub struct AnatomySettings {
     /// Helix angles of the fibres.
     pub fibres: FibreRule,
     /// World direction from the LV towards the middle of the septum; any length, made orthogonal to the long axis. An LV-only geometry
-    /// does not show it, so the study gives it or takes [`DEFAULT_SEPTAL_DIRECTION`].
+    /// does not show it, so the study gives it or takes [`DEFAULT_SEPTAL_DIRECTION`]. With two ventricles the meshed septum decides.
     pub septal_direction: Vector3<f64>,
 }
 
@@ -25,20 +26,20 @@ impl Default for AnatomySettings {
     }
 }
 
-/// Meshes a left ventricle and completes it.
+/// Meshes a wall of one ventricle or two and completes it.
 ///
 /// # Errors
-/// [`AnatomyError`] of the mesher or of [`complete_lv`].
-pub fn build_lv(shape: &WallShape, mesher: &MesherSettings, settings: &AnatomySettings) -> Result<Anatomy, AnatomyError> {
+/// [`AnatomyError`] of the mesher or of [`complete_anatomy`].
+pub fn build_anatomy(shape: &WallShape, mesher: &MesherSettings, settings: &AnatomySettings) -> Result<Anatomy, AnatomyError> {
     settings.fibres.check()?;
     let (mesh, surface) = mesh_wall(shape, mesher)?;
-    complete_lv(mesh, surface, settings)
+    complete_anatomy(mesh, surface, settings)
 }
 
 /// Meshes the left ventricle of an image's signed-distance fields and completes it.
 ///
 /// # Errors
-/// [`AnatomyError`] of [`build_lv`].
+/// [`AnatomyError`] of [`build_anatomy`].
 pub fn build_lv_from_fields(
     fields: &VentricleFields,
     mesher: &MesherSettings,
@@ -53,7 +54,7 @@ pub fn build_lv_from_fields(
         base_normal: fields.base_plane.normal,
         bounds_mm: box_of(&fields.epicardium),
     };
-    build_lv(&shape, mesher, settings)
+    build_anatomy(&shape, mesher, settings)
 }
 
 /// A sampled signed distance; beyond the grid everything is far outside.
@@ -70,47 +71,41 @@ fn box_of(field: &Volume) -> [Vector3<f64>; 2] {
     (1..8).map(corner).fold(start, |[low, high], p| [low.inf(&p), high.sup(&p)])
 }
 
-/// Completes a tagged mesh of a left ventricle, however it was made: transmural depth (Laplace: 0 on the endocardium, 1 on the
-/// epicardium), local axes, fibres, AHA segments and regions.
+/// Completes a tagged mesh of one ventricle or two, however it was made: transmural depth (harmonic, 0 on the endocardium, 1 on the other
+/// side of the wall), local axes, fibres, AHA segments of the LV and regions. The septum belongs to the LV, with the RV side outside.
 ///
 /// # Errors
-/// [`AnatomyError`] if a surface is missing, the cavity cannot be closed, an angle is out of range or the depth cannot be solved for.
-pub fn complete_lv(mesh: TetMesh, surface: TaggedSurface, settings: &AnatomySettings) -> Result<Anatomy, AnatomyError> {
+/// [`AnatomyError`] if a surface is missing, a cavity cannot be closed, an angle is out of range or the depth cannot be solved for.
+pub fn complete_anatomy(mesh: TetMesh, surface: TaggedSurface, settings: &AnatomySettings) -> Result<Anatomy, AnatomyError> {
     settings.fibres.check()?;
     let cavities = Anatomy::close_cavities(&surface)?;
     let cavity = &cavities[0].1;
-    let axes = heart_axes(&mesh, cavity, &settings.septal_direction)?;
-    let transmural_depth = depth_between(&mesh, &surface, SurfaceTag::EndocardiumLv, SurfaceTag::Epicardium)?;
+    let layout = if cavities.len() > 1 { lay_out_biventricle(&mesh, &surface)? } else { lay_out_lv(&mesh, &surface)? };
+    let septal_direction = match &layout.septum {
+        Some(septum) => septum.centre_mm - cavity.lid_centre_mm(mesh.vertices_mm()),
+        None => settings.septal_direction,
+    };
+    let axes = heart_axes(&mesh, cavity, &septal_direction)?;
     let cavity_depth_mm = cavity_depth_mm(&mesh, cavity, &axes);
-    let heart_axes: Vec<_> = laplace::gradients(&mesh, &transmural_depth).iter().map(|gradient| local_axes(gradient, &axes)).collect();
-    let mean_of = |corners: &[usize; 4]| corners.iter().map(|&vertex| transmural_depth[vertex]).sum::<f64>() / 4.0;
-    let fibre_axes =
-        mesh.tetrahedra().iter().zip(&heart_axes).map(|(corners, local)| settings.fibres.fibre_axes(local, mean_of(corners))).collect();
     let centre = |t: usize| mesh.corners_mm(t).iter().sum::<Vector3<f64>>() / 4.0;
-    let aha_segments: Vec<u8> = (0..mesh.tetrahedron_count()).map(|t| aha_segment(&axes, cavity_depth_mm, &centre(t))).collect();
-    let regions = aha_segments.iter().map(|&segment| region_of_segment(segment)).collect();
-    Ok(Anatomy { mesh, surface, cavities, transmural_depth, fibre_axes, heart_axes, regions, aha_segments, axes })
-}
-
-/// The harmonic function that is 0 on one surface and 1 on another.
-fn depth_between(mesh: &TetMesh, surface: &TaggedSurface, inner: SurfaceTag, outer: SurfaceTag) -> Result<Vec<f64>, AnatomyError> {
-    let mut fixed = vec![None; mesh.vertex_count()];
-    for (tag, value) in [(outer, 1.0), (inner, 0.0)] {
-        let vertices = surface.vertices_with(tag);
-        if vertices.is_empty() {
-            return Err(MeshError::MissingSurface { tag }.into());
-        }
-        for vertex in vertices {
-            fixed[vertex] = Some(value);
-        }
+    let mut aha_segments: Vec<u8> = (0..mesh.tetrahedron_count()).map(|t| aha_segment(&axes, cavity_depth_mm, &centre(t))).collect();
+    let regions = match layout.septum {
+        Some(septum) => septum.regions,
+        None => aha_segments.iter().map(|&segment| region_of_segment(segment)).collect(),
+    };
+    for (segment, _) in aha_segments.iter_mut().zip(&regions).filter(|(_, region)| **region == Region::FreeWallRv) {
+        *segment = 0;
     }
-    laplace::harmonic(mesh, &fixed)
+    let heart_axes: Vec<_> = layout.gradient.iter().map(|gradient| local_axes(gradient, &axes)).collect();
+    let fibre_axes = heart_axes.iter().zip(&layout.depth).map(|(local, &depth)| settings.fibres.fibre_axes(local, depth)).collect();
+    let transmural_depth = layout.depth_at_vertices;
+    Ok(Anatomy { mesh, surface, cavities, transmural_depth, fibre_axes, heart_axes, regions, aha_segments, axes })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::anatomy::{Region, Ventricle};
+    use crate::anatomy::Region;
 
     fn ellipsoidal_lv(edge_length_mm: f64) -> Anatomy {
         let ellipsoid = |radius: f64, length: f64| {
@@ -125,7 +120,7 @@ mod tests {
             bounds_mm: [Vector3::new(-36.0, -36.0, -71.0), Vector3::new(36.0, 36.0, 30.0)],
         };
         let settings = AnatomySettings { septal_direction: Vector3::x(), ..AnatomySettings::default() };
-        build_lv(&shape, &MesherSettings::with_edge_length_mm(edge_length_mm), &settings).unwrap()
+        build_anatomy(&shape, &MesherSettings::with_edge_length_mm(edge_length_mm), &settings).unwrap()
     }
 
     #[test]
@@ -172,7 +167,7 @@ mod tests {
     fn a_septal_direction_along_the_axis_is_refused() {
         let anatomy = ellipsoidal_lv(6.0);
         let settings = AnatomySettings { septal_direction: Vector3::z(), ..AnatomySettings::default() };
-        let error = complete_lv(anatomy.mesh, anatomy.surface, &settings).unwrap_err();
+        let error = complete_anatomy(anatomy.mesh, anatomy.surface, &settings).unwrap_err();
         assert!(matches!(error, AnatomyError::Setting { .. }), "{error}");
     }
 }

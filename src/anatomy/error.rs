@@ -36,6 +36,15 @@ pub enum AnatomyError {
         position_mm.x, position_mm.y, position_mm.z
     )]
     PinchedSurface { vertex: usize, position_mm: Vector3<f64> },
+    /// The right ventricle does not face the left.
+    #[error("no part of the right endocardium faces the left ventricle; check the surface tags")]
+    NoSeptum,
+    /// A field does not have one entry a tetrahedron.
+    #[error("{length} {name} are given for {expected} tetrahedra")]
+    FieldLength { name: &'static str, length: usize, expected: usize },
+    /// A fibre has no direction.
+    #[error("the fibre of tetrahedron {tetrahedron} has no direction, or its sheet lies along it")]
+    FibreDirection { tetrahedron: usize },
     /// A solver did not reach its tolerance.
     #[error("the transmural Laplace solve stopped after {iterations} iterations at a relative residual of {residual:e}")]
     LaplaceStalled { iterations: usize, residual: f64 },

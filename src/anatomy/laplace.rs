@@ -8,70 +8,60 @@ use crate::mesh::TetMesh;
 /// Relative residual at which the conjugate gradients stop.
 const TOLERANCE: f64 = 1e-10;
 
-/// The P1 solution of $\Delta\varphi = 0$ with $\varphi$ given on some vertices and $\partial\varphi/\partial n = 0$ on the rest of the boundary.
-///
-/// `fixed` has one entry a vertex. One value a vertex is returned.
-///
-/// # Errors
-/// [`AnatomyError::LaplaceStalled`] if the conjugate gradients do not converge, as when no value is given on a piece of the mesh.
-pub(super) fn harmonic(mesh: &TetMesh, fixed: &[Option<f64>]) -> Result<Vec<f64>, AnatomyError> {
-    let stiffness = Stiffness::of(mesh);
-    let mut solution: Vec<f64> = fixed.iter().map(|value| value.unwrap_or(0.0)).collect();
-    let free: Vec<bool> = fixed.iter().map(Option::is_none).collect();
-    let mut product = vec![0.0; solution.len()];
-    stiffness.multiply(&solution, &mut product);
-    let mut residual: Vec<f64> = product.iter().zip(&free).map(|(p, &is_free)| if is_free { -p } else { 0.0 }).collect();
-    let target = TOLERANCE * dot(&product, &product).sqrt();
-    let mut direction = vec![0.0; solution.len()];
-    let mut last_rho = 0.0;
-    let iteration_limit = 10 * solution.len() + 100;
-    for iterations in 0..=iteration_limit {
-        let norm = dot(&residual, &residual).sqrt();
-        if norm <= target {
-            return Ok(solution);
-        }
-        if iterations == iteration_limit || !norm.is_finite() {
-            return Err(AnatomyError::LaplaceStalled { iterations, residual: norm / target * TOLERANCE });
-        }
-        let preconditioned: Vec<f64> = residual.iter().zip(&stiffness.diagonal).map(|(r, d)| r / d).collect();
-        let rho = dot(&residual, &preconditioned);
-        let beta = if iterations == 0 { 0.0 } else { rho / last_rho };
-        last_rho = rho;
-        for (d, z) in direction.iter_mut().zip(&preconditioned) {
-            *d = z + beta * *d;
-        }
-        stiffness.multiply(&direction, &mut product);
-        for (p, &is_free) in product.iter_mut().zip(&free) {
-            *p = if is_free { *p } else { 0.0 };
-        }
-        let alpha = rho / dot(&direction, &product);
-        for vertex in 0..solution.len() {
-            solution[vertex] += alpha * direction[vertex];
-            residual[vertex] -= alpha * product[vertex];
-        }
-    }
-    Ok(solution)
-}
-
-/// The gradient of a P1 function in each tetrahedron, 1/mm times its unit.
-pub(super) fn gradients(mesh: &TetMesh, values: &[f64]) -> Vec<Vector3<f64>> {
-    let gradient = |(tetrahedron, corners): (usize, &[usize; 4])| {
-        let shapes = mesh.shape_gradients_per_mm(tetrahedron);
-        corners.iter().zip(shapes).map(|(&vertex, shape)| shape * values[vertex]).sum()
-    };
-    mesh.tetrahedra().iter().enumerate().map(gradient).collect()
-}
-
-/// $\int \nabla\lambda_i\cdot\nabla\lambda_j$ by rows.
-struct Stiffness {
+/// $\int \nabla\lambda_i\cdot\nabla\lambda_j$ of a mesh, by rows.
+pub(super) struct Laplacian {
     row_start: Vec<usize>,
     columns: Vec<usize>,
     values: Vec<f64>,
     diagonal: Vec<f64>,
 }
 
-impl Stiffness {
-    fn of(mesh: &TetMesh) -> Self {
+impl Laplacian {
+    /// The P1 solution of $\Delta\varphi = 0$ with $\varphi$ given on some vertices and $\partial\varphi/\partial n = 0$ on the rest of the
+    /// boundary. `fixed` has one entry a vertex, and so has the solution.
+    ///
+    /// # Errors
+    /// [`AnatomyError::LaplaceStalled`] if the conjugate gradients do not converge, as when no value is given on a piece of the mesh.
+    pub(super) fn solve(&self, fixed: &[Option<f64>]) -> Result<Vec<f64>, AnatomyError> {
+        let mut solution: Vec<f64> = fixed.iter().map(|value| value.unwrap_or(0.0)).collect();
+        let free: Vec<bool> = fixed.iter().map(Option::is_none).collect();
+        let mut product = vec![0.0; solution.len()];
+        self.multiply(&solution, &mut product);
+        let mut residual: Vec<f64> = product.iter().zip(&free).map(|(p, &is_free)| if is_free { -p } else { 0.0 }).collect();
+        let target = TOLERANCE * dot(&product, &product).sqrt();
+        let mut direction = vec![0.0; solution.len()];
+        let mut last_rho = 0.0;
+        let iteration_limit = 10 * solution.len() + 100;
+        for iterations in 0..=iteration_limit {
+            let norm = dot(&residual, &residual).sqrt();
+            if norm <= target {
+                return Ok(solution);
+            }
+            if iterations == iteration_limit || !norm.is_finite() {
+                return Err(AnatomyError::LaplaceStalled { iterations, residual: norm / target * TOLERANCE });
+            }
+            let preconditioned: Vec<f64> = residual.iter().zip(&self.diagonal).map(|(r, d)| r / d).collect();
+            let rho = dot(&residual, &preconditioned);
+            let beta = if iterations == 0 { 0.0 } else { rho / last_rho };
+            last_rho = rho;
+            for (d, z) in direction.iter_mut().zip(&preconditioned) {
+                *d = z + beta * *d;
+            }
+            self.multiply(&direction, &mut product);
+            for (p, &is_free) in product.iter_mut().zip(&free) {
+                *p = if is_free { *p } else { 0.0 };
+            }
+            let alpha = rho / dot(&direction, &product);
+            for vertex in 0..solution.len() {
+                solution[vertex] += alpha * direction[vertex];
+                residual[vertex] -= alpha * product[vertex];
+            }
+        }
+        Ok(solution)
+    }
+
+    /// Assembles the matrix of a mesh.
+    pub(super) fn of(mesh: &TetMesh) -> Self {
         let neighbours = mesh.vertex_neighbours();
         let mut row_start = vec![0];
         row_start.extend(neighbours.iter().scan(0, |end, row| {
@@ -112,6 +102,15 @@ impl Stiffness {
     }
 }
 
+/// The gradient of a P1 function in each tetrahedron, 1/mm times its unit.
+pub(super) fn gradients(mesh: &TetMesh, values: &[f64]) -> Vec<Vector3<f64>> {
+    let gradient = |(tetrahedron, corners): (usize, &[usize; 4])| {
+        let shapes = mesh.shape_gradients_per_mm(tetrahedron);
+        corners.iter().zip(shapes).map(|(&vertex, shape)| shape * values[vertex]).sum()
+    };
+    mesh.tetrahedra().iter().enumerate().map(gradient).collect()
+}
+
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
@@ -134,7 +133,7 @@ mod tests {
             for vertex in mesh.boundary_triangles().into_iter().flatten() {
                 fixed[vertex] = Some(if mesh.vertices_mm()[vertex].norm() < 27.0 { 0.0 } else { 1.0 });
             }
-            let depth = harmonic(&mesh, &fixed).unwrap();
+            let depth = Laplacian::of(&mesh).solve(&fixed).unwrap();
             let squares: f64 = mesh.vertices_mm().iter().zip(&depth).map(|(p, d)| (d - exact(p)).powi(2)).sum();
             (squares / depth.len() as f64).sqrt()
         });
@@ -152,7 +151,7 @@ mod tests {
         for vertex in mesh.boundary_triangles().into_iter().flatten() {
             fixed[vertex] = Some(linear[vertex]);
         }
-        let solution = harmonic(&mesh, &fixed).unwrap();
+        let solution = Laplacian::of(&mesh).solve(&fixed).unwrap();
         assert!(solution.iter().zip(&linear).all(|(s, l)| (s - l).abs() < 1e-8));
         assert!(gradients(&mesh, &linear).iter().all(|g| (g - slope).norm() < 1e-10));
     }

@@ -3,13 +3,16 @@
 mod build;
 mod error;
 mod fibres;
+mod idealised_biventricle;
 mod laplace;
 pub mod mesher;
 mod segments;
+mod transmural;
 
-pub use build::{AnatomySettings, build_lv, build_lv_from_fields, complete_lv};
+pub use build::{AnatomySettings, build_anatomy, build_lv_from_fields, complete_anatomy};
 pub use error::AnatomyError;
-pub use fibres::FibreRule;
+pub use fibres::{FibreRule, directions_at_tetrahedra};
+pub use idealised_biventricle::IdealisedBiventricle;
 pub use segments::DEFAULT_SEPTAL_DIRECTION;
 
 use nalgebra::{Matrix3, Vector3};
@@ -96,5 +99,35 @@ impl Anatomy {
             cavities.push((Ventricle::Right, Cavity::new(surface, SurfaceTag::EndocardiumRv)?));
         }
         Ok(cavities)
+    }
+
+    /// The same heart with measured or otherwise made fibres instead of the rule's: a direction a tetrahedron, and across it the sheets
+    /// (the wall's normal where none are given). They are made orthonormal.
+    ///
+    /// # Errors
+    /// [`AnatomyError::FieldLength`] or [`AnatomyError::FibreDirection`] for a direction without length or a sheet along the fibre.
+    pub fn with_fibres(mut self, fibres: &[Vector3<f64>], sheets: Option<&[Vector3<f64>]>) -> Result<Self, AnatomyError> {
+        let expected = self.mesh.tetrahedron_count();
+        for (name, length) in [("fibres", fibres.len()), ("sheets", sheets.map_or(expected, <[_]>::len))] {
+            if length != expected {
+                return Err(AnatomyError::FieldLength { name, length, expected });
+            }
+        }
+        for tetrahedron in 0..expected {
+            let sheet = sheets.map_or_else(|| self.heart_axes[tetrahedron].column(2).into_owned(), |sheets| sheets[tetrahedron]);
+            let axes = fibres::orthonormal_axes(&fibres[tetrahedron], &sheet);
+            self.fibre_axes[tetrahedron] = axes.ok_or(AnatomyError::FibreDirection { tetrahedron })?;
+        }
+        Ok(self)
+    }
+
+    /// Marks as scar every tetrahedron whose centre (mm) is in it.
+    pub fn mark_scar(&mut self, is_scar: &dyn Fn(&Vector3<f64>) -> bool) {
+        for tetrahedron in 0..self.mesh.tetrahedron_count() {
+            let centre_mm = self.mesh.corners_mm(tetrahedron).iter().sum::<Vector3<f64>>() / 4.0;
+            if is_scar(&centre_mm) {
+                self.regions[tetrahedron] = Region::Scar;
+            }
+        }
     }
 }

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use nalgebra::Vector3;
+
 use super::SurfaceTag;
 
 /// A mesh that cannot be used, with the place and the amount.
@@ -29,6 +31,9 @@ pub enum MeshError {
     /// A triangle is shared by more than two tetrahedra.
     #[error("the triangle of vertices {vertices:?} is shared by more than two tetrahedra")]
     NonManifoldTriangle { vertices: [usize; 3] },
+    /// Two tetrahedra lie on the same side of the triangle that they share.
+    #[error("tetrahedra {first} and {second} overlap: both lie on one side of their triangle {vertices:?}; one is inverted, remesh there")]
+    OverlappingTetrahedra { first: usize, second: usize, vertices: [usize; 3] },
     /// The boundary triangles and their tags disagree in number.
     #[error("{triangle_count} boundary triangles but {tag_count} tags")]
     TagCount { triangle_count: usize, tag_count: usize },
@@ -50,4 +55,19 @@ pub enum MeshError {
     /// A field does not fit its mesh.
     #[error("field {name:?} has {length} entries where the mesh asks for {expected}")]
     FieldLength { name: String, length: usize, expected: usize },
+    /// A mesh is far too small or too large for a heart in mm.
+    #[error("the mesh is {extent_mm} mm long; a heart is 10 to 1000 mm: is the file in metres? give its unit of length")]
+    ImplausibleSize { extent_mm: f64 },
+    /// A field that is needed is not in the file.
+    #[error("the triangles of the mesh have no field {name:?} of one component; there are {available:?}")]
+    MissingField { name: String, available: Vec<String> },
+    /// A surface code stands for nothing.
+    #[error("surface code {code} stands for no surface; known are {known:?}")]
+    UnknownTag { code: i64, known: Vec<i64> },
+    /// A boundary triangle has no tag.
+    #[error(
+        "the boundary triangle of vertices {vertices:?} at ({:.1}, {:.1}, {:.1}) mm is not among the tagged triangles of the file",
+        centre_mm.x, centre_mm.y, centre_mm.z
+    )]
+    UntaggedTriangle { vertices: [usize; 3], centre_mm: Vector3<f64> },
 }

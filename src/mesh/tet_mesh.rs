@@ -1,13 +1,14 @@
 //! A conforming mesh of linear tetrahedra, checked once at construction.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 
 use nalgebra::Vector3;
 
 use super::MeshError;
 
 /// Linear tetrahedra in world millimetres. Every tetrahedron is positively oriented,
-/// (b − a) × (c − a) · (d − a) > 0, every vertex is used, and every triangle belongs to one or two tetrahedra.
+/// (b − a) × (c − a) · (d − a) > 0, every vertex is used, and every triangle belongs to one or two tetrahedra, on either side of it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TetMesh {
     vertices_mm: Vec<Vector3<f64>>,
@@ -34,7 +35,7 @@ impl TetMesh {
                 *used.get_mut(vertex).ok_or(MeshError::VertexOutOfRange { tetrahedron, vertex, vertex_count })? = true;
             }
             let volume_mm3 = signed_volume(corners.map(|v| vertices_mm[v]));
-            if volume_mm3 <= 0.0 {
+            if volume_mm3.is_nan() || volume_mm3 <= 0.0 {
                 return Err(MeshError::InvertedTetrahedron { tetrahedron, volume_mm3 });
             }
             let mut sorted = *corners;
@@ -47,7 +48,7 @@ impl TetMesh {
             return Err(MeshError::UnreferencedVertex { vertex });
         }
         let mesh = Self { vertices_mm, tetrahedra };
-        mesh.check_triangles_are_manifold()?;
+        mesh.check_triangles()?;
         Ok(mesh)
     }
 
@@ -137,9 +138,24 @@ impl TetMesh {
         counts
     }
 
-    fn check_triangles_are_manifold(&self) -> Result<(), MeshError> {
-        let crowded = self.triangle_counts().into_iter().filter(|&(_, count)| count > 2).map(|(vertices, _)| vertices).min();
-        crowded.map_or(Ok(()), |vertices| Err(MeshError::NonManifoldTriangle { vertices }))
+    fn check_triangles(&self) -> Result<(), MeshError> {
+        let mut seen = HashMap::with_capacity(2 * self.tetrahedron_count());
+        for (tetrahedron, corners) in self.tetrahedra.iter().enumerate() {
+            for vertices in outward_triangles(corners) {
+                match seen.entry(sorted(vertices)) {
+                    Entry::Vacant(place) => drop(place.insert(Some((tetrahedron, rotated(vertices))))),
+                    Entry::Occupied(mut place) => match place.insert(None) {
+                        None => return Err(MeshError::NonManifoldTriangle { vertices }),
+                        // Seen from inside two neighbours, their triangle turns in opposite senses.
+                        Some((first, as_seen)) if as_seen == rotated(vertices) => {
+                            return Err(MeshError::OverlappingTetrahedra { first, second: tetrahedron, vertices });
+                        }
+                        Some(_) => {}
+                    },
+                }
+            }
+        }
+        Ok(())
     }
 }
 
@@ -149,6 +165,17 @@ fn signed_volume([a, b, c, d]: [Vector3<f64>; 4]) -> f64 {
 
 fn outward_triangles(&[a, b, c, d]: &[usize; 4]) -> [[usize; 3]; 4] {
     [[b, c, d], [a, d, c], [a, b, d], [a, c, b]]
+}
+
+/// The least vertex first, the sense kept.
+fn rotated([a, b, c]: [usize; 3]) -> [usize; 3] {
+    if a < b && a < c {
+        [a, b, c]
+    } else if b < c {
+        [b, c, a]
+    } else {
+        [c, a, b]
+    }
 }
 
 fn sorted(mut triangle: [usize; 3]) -> [usize; 3] {
@@ -178,6 +205,18 @@ mod tests {
     fn an_inverted_tetrahedron_is_named() {
         let error = TetMesh::new(unit_tetrahedron(), vec![[0, 2, 1, 3]]).unwrap_err();
         assert!(matches!(error, MeshError::InvertedTetrahedron { tetrahedron: 0, .. }), "{error}");
+    }
+
+    #[test]
+    fn tetrahedra_that_overlap_are_named() {
+        let mut vertices = unit_tetrahedron();
+        vertices.push(Vector3::repeat(2.0));
+        let neighbours = vec![[0, 1, 2, 3], [1, 2, 3, 4]];
+        assert!(TetMesh::new(vertices.clone(), neighbours).is_ok());
+        // The fifth vertex is pushed through the triangle that both share.
+        vertices[4] = Vector3::repeat(0.1);
+        let error = TetMesh::new(vertices, vec![[0, 1, 2, 3], [1, 3, 2, 4]]).unwrap_err();
+        assert!(matches!(error, MeshError::OverlappingTetrahedra { first: 0, second: 1, .. }), "{error}");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use nalgebra::{Rotation3, Vector3};
 use super::PhantomError;
 use super::error::within;
 use crate::anatomy::mesher::{MesherSettings, WallShape};
-use crate::anatomy::{Anatomy, AnatomySettings, Ventricle, build_lv};
+use crate::anatomy::{Anatomy, AnatomySettings, Ventricle, build_anatomy};
 
 /// Endocardium and epicardium are half-ellipsoids of revolution about one axis and one centre, cut by a plane above their equator.
 ///
@@ -64,7 +64,7 @@ impl IdealisedLv {
             base_normal,
             bounds_mm: [self.centre_mm - reach_mm, self.centre_mm + reach_mm],
         };
-        Ok(build_lv(&shape, mesher, settings)?)
+        Ok(build_anatomy(&shape, mesher, settings)?)
     }
 
     /// Volume of the cavity below the base plane, mm³: $\pi a^2 \left(\tfrac23 c + h - \tfrac{h^3}{3c^2}\right)$.

@@ -4,6 +4,7 @@
 //! so that base and rim are sharp by construction; `optimise` then moves vertices (those of the surface on the surface) to raise the
 //! least dihedral angles, and `tagging` says which triangle is endocardium, epicardium or base.
 
+mod collapse;
 mod lattice;
 mod optimise;
 mod stencils;
@@ -63,8 +64,8 @@ pub struct WallShape<'a> {
 /// [`AnatomyError`] if the edge length is not positive, the lattice is too large, the function is not finite or nowhere negative.
 pub fn mesh_inside(level: &LevelSet, bounds_mm: &[Vector3<f64>; 2], settings: &MesherSettings) -> Result<TetMesh, AnatomyError> {
     let lattice = Lattice::around(bounds_mm, None, checked_spacing_mm(settings)?)?;
-    let mut mesh = stuffing::stuff(&lattice, level, &|_| 0)?;
-    optimise::optimise(&mut mesh, level, &lattice, settings.optimisation_passes);
+    let mut mesh = stuffing::stuff(&lattice, level, None)?;
+    improve(&mut mesh, level, &lattice, settings.optimisation_passes);
     Ok(TetMesh::new(mesh.vertices_mm, mesh.tetrahedra)?)
 }
 
@@ -83,10 +84,19 @@ pub fn mesh_wall(shape: &WallShape, settings: &MesherSettings) -> Result<(TetMes
     let wall = |p: &Vector3<f64>| shape.cavities.iter().fold((shape.epicardium)(p), |level, (_, cavity)| level.max(-cavity(p)));
     let lattice = Lattice::around(&shape.bounds_mm, Some((shape.base_point_mm, shape.base_normal)), spacing_mm)?;
     let room = |p: &Vector3<f64>| shape.cavities.iter().zip(1..).find(|((_, cavity), _)| cavity(p) < 0.0).map_or(0, |(_, room)| room);
-    let mut stuffed = stuffing::stuff(&lattice, &wall, &room)?;
+    let mut stuffed = stuffing::stuff(&lattice, &wall, Some(&room))?;
     tagging::keep_largest_piece(&mut stuffed);
-    optimise::optimise(&mut stuffed, &wall, &lattice, settings.optimisation_passes);
+    improve(&mut stuffed, &wall, &lattice, settings.optimisation_passes);
     tagging::tag_wall(stuffed, shape)
+}
+
+/// Moves vertices; where thin walls have left short edges, removes those and moves again.
+fn improve(mesh: &mut StuffedMesh, level: &LevelSet, lattice: &Lattice, passes: usize) {
+    optimise::optimise(mesh, level, lattice, passes);
+    if passes > 0 && collapse::collapse_short_edges(mesh, lattice.spacing_mm()) > 0 {
+        mesh.drop_unused_vertices();
+        optimise::optimise(mesh, level, lattice, passes);
+    }
 }
 
 fn checked_spacing_mm(settings: &MesherSettings) -> Result<f64, AnatomyError> {

@@ -91,7 +91,7 @@ fn worst_around(mesh: &StuffedMesh, around: &[usize]) -> f64 {
 
 /// The least sine of the six dihedral angles, $\sin\theta_{ij} = \frac{3 V l_{ij}}{2 A_k A_l}$; negative if inverted. Small for angles near 0° and near
 /// 180° alike.
-fn least_dihedral_sine([a, b, c, d]: [Vector3<f64>; 4]) -> f64 {
+pub(super) fn least_dihedral_sine([a, b, c, d]: [Vector3<f64>; 4]) -> f64 {
     let (ab, ac, ad, bc, bd, cd) = (b - a, c - a, d - a, c - b, d - b, d - c);
     // Twice the areas of the faces opposite to each corner.
     let area = [bc.cross(&bd).norm(), ac.cross(&ad).norm(), ab.cross(&ad).norm(), ab.cross(&ac).norm()];

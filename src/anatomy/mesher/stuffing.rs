@@ -29,11 +29,40 @@ pub(super) struct StuffedMesh {
     pub(super) is_in_plane: Vec<bool>,
 }
 
-/// Stuffs the inside of `level` (negative inside) with the tetrahedra of `lattice`. `room` numbers the parts of the outside (the blood of
-/// each ventricle, the chest): no two of them shall touch.
-pub(super) fn stuff(lattice: &Lattice, level: &LevelSet, room: &RoomOf) -> Result<StuffedMesh, AnatomyError> {
-    let mut stuffing = Stuffing::sample(lattice, level, room)?;
-    stuffing.hold_thin_walls(level);
+impl StuffedMesh {
+    /// Numbers the vertices anew without those that no tetrahedron has.
+    pub(super) fn drop_unused_vertices(&mut self) {
+        let mut is_used = vec![false; self.vertices_mm.len()];
+        self.tetrahedra.iter().flatten().for_each(|&vertex| is_used[vertex] = true);
+        let new_number: Vec<usize> = is_used
+            .iter()
+            .scan(0, |count, &used| {
+                *count += usize::from(used);
+                Some(*count - usize::from(used))
+            })
+            .collect();
+        self.tetrahedra.iter_mut().flatten().for_each(|vertex| *vertex = new_number[*vertex]);
+        retain_used(&mut self.vertices_mm, &is_used);
+        retain_used(&mut self.is_on_surface, &is_used);
+        retain_used(&mut self.is_in_plane, &is_used);
+    }
+}
+
+fn retain_used<T>(values: &mut Vec<T>, is_used: &[bool]) {
+    let mut used = is_used.iter();
+    values.retain(|_| used.next().copied().unwrap_or(false));
+}
+
+/// Stuffs the inside of `level` (negative inside) with the tetrahedra of `lattice`.
+///
+/// With `rooms`, which numbers the parts of the outside (the blood of each ventricle, the chest), no two of them will touch and the surface
+/// will be a manifold, at the price of the angle bound where the inside is thinner than about two lattice spacings.
+pub(super) fn stuff(lattice: &Lattice, level: &LevelSet, rooms: Option<&RoomOf>) -> Result<StuffedMesh, AnatomyError> {
+    let mut stuffing = Stuffing::sample(lattice, level, rooms)?;
+    if rooms.is_some() {
+        stuffing.hold_thin_walls(level);
+        stuffing.fill_pockets(level);
+    }
     stuffing.cut_edges(level);
     stuffing.warp(level);
     let mesh = stuffing.fill();
@@ -63,13 +92,14 @@ pub(super) struct Stuffing<'a> {
     pub(super) side: Vec<Side>,
     /// The part of the outside; meaningless for points that are not outside.
     pub(super) room: Vec<u8>,
+    guards_topology: bool,
     /// Lattice edges from inside to outside, lower point first, and their cut points.
     edges: Vec<[usize; 2]>,
     cuts_mm: Vec<Vector3<f64>>,
 }
 
 impl<'a> Stuffing<'a> {
-    fn sample(lattice: &'a Lattice, level: &LevelSet, room: &RoomOf) -> Result<Self, AnatomyError> {
+    fn sample(lattice: &'a Lattice, level: &LevelSet, rooms: Option<&RoomOf>) -> Result<Self, AnatomyError> {
         let count = lattice.point_count();
         let position_mm: Vec<Vector3<f64>> = (0..count).map(|point| lattice.position_mm(point)).collect();
         // A point exactly on the surface counts as just inside; its cut points are at itself, and it will be moved there.
@@ -91,8 +121,8 @@ impl<'a> Stuffing<'a> {
             }
         });
         let side = side.collect();
-        let room = position_mm.iter().map(room).collect();
-        Ok(Self { lattice, position_mm, level, side, room, edges: vec![], cuts_mm: vec![] })
+        let room = rooms.map_or_else(|| vec![0; count], |room| position_mm.par_iter().map(room).collect());
+        Ok(Self { lattice, position_mm, level, side, room, guards_topology: rooms.is_some(), edges: vec![], cuts_mm: vec![] })
     }
 
     fn crosses(&self, a: usize, b: usize) -> bool {
@@ -129,7 +159,8 @@ impl<'a> Stuffing<'a> {
             let Some((target, room)) = self.target(point, &live, level) else {
                 continue;
             };
-            if self.surface_may_pass(point, room, star) && self.stays_upright(point, &target, star, LEAST_FLATNESS) {
+            let is_safe = || self.surface_may_pass(point, room, star) && self.stays_upright(point, &target, star, LEAST_FLATNESS);
+            if !self.guards_topology || is_safe() {
                 self.position_mm[point] = target;
                 self.side[point] = Side::Surface;
                 self.room[point] = room;

@@ -18,24 +18,7 @@ pub(super) fn keep_largest_piece(mesh: &mut StuffedMesh) {
     let largest = sizes.iter().max_by_key(|&(&piece, &size)| (size, std::cmp::Reverse(piece))).map_or(0, |(&piece, _)| piece);
     let mut kept = pieces.iter().map(|&piece| piece == largest);
     mesh.tetrahedra.retain(|_| kept.next().unwrap_or(false));
-    let mut is_used = vec![false; mesh.vertices_mm.len()];
-    mesh.tetrahedra.iter().flatten().for_each(|&vertex| is_used[vertex] = true);
-    let new_number: Vec<usize> = is_used
-        .iter()
-        .scan(0, |count, &used| {
-            *count += usize::from(used);
-            Some(*count - usize::from(used))
-        })
-        .collect();
-    mesh.tetrahedra.iter_mut().flatten().for_each(|vertex| *vertex = new_number[*vertex]);
-    retain_used(&mut mesh.vertices_mm, &is_used);
-    retain_used(&mut mesh.is_on_surface, &is_used);
-    retain_used(&mut mesh.is_in_plane, &is_used);
-}
-
-fn retain_used<T>(values: &mut Vec<T>, is_used: &[bool]) {
-    let mut used = is_used.iter();
-    values.retain(|_| used.next().copied().unwrap_or(false));
+    mesh.drop_unused_vertices();
 }
 
 /// Tags the boundary of a wall. Triangles with all corners in the base plane are base; the rest falls into connected sheets, and each

@@ -34,7 +34,7 @@ impl Stuffing<'_> {
             let mut moves: Vec<(f64, usize, Vector3<f64>)> = vec![];
             for (&point, others) in partners.iter().filter(|&(&point, others)| self.is_open(point, others)) {
                 let toward = |other: &usize| self.position_mm[*other] - self.position_mm[point];
-                let ways = self.way_to_wall(point, level).into_iter().chain(others.iter().map(toward));
+                let ways = std::iter::once(self.way_to_wall(point, level)).chain(others.iter().map(toward));
                 let places = ways.filter_map(|way| self.place_in_wall(point, &way, share, level));
                 moves.extend(places.map(|place| ((place - self.position_mm[point]).norm(), point, place)));
             }
@@ -47,6 +47,59 @@ impl Stuffing<'_> {
                 }
             }
         }
+    }
+
+    /// Moves into the wall the outer points that the lattice cuts off from the rest of their room, in space or in the base plane: the tip of
+    /// a cleft between two walls, which would become a bubble or a second hole in the base.
+    pub(super) fn fill_pockets(&mut self, level: &LevelSet) {
+        for only_in_plane in [false, true] {
+            let pockets = self.pockets(only_in_plane);
+            let stars = self.stars(pockets.iter());
+            for point in pockets {
+                let ways = self.ways_to_wall(point, level);
+                for (share, flatness) in ROUNDS {
+                    let places = ways.iter().filter_map(|way| self.place_in_wall(point, way, share, level));
+                    let upright = places.filter(|place| self.stays_upright(point, place, &stars[&point], flatness));
+                    let distance = |place: &Vector3<f64>| (place - self.position_mm[point]).norm();
+                    if let Some(place) = upright.min_by(|a, b| distance(a).total_cmp(&distance(b))) {
+                        self.position_mm[point] = place;
+                        self.level[point] = level(&place);
+                        self.side[point] = Side::Inside;
+                        break;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Outer points that are not in the largest connected part of their room, counting all points or those of the base plane.
+    fn pockets(&self, only_in_plane: bool) -> Vec<usize> {
+        let counts = |p: usize| self.side[p] == Side::Outside && (!only_in_plane || self.lattice.is_in_plane(p));
+        let mut parent: Vec<usize> = (0..self.side.len()).collect();
+        self.lattice.for_each_tetrahedron(|corners| {
+            for i in 0..3 {
+                for j in i + 1..4 {
+                    let (a, b) = (corners[i], corners[j]);
+                    if counts(a) && counts(b) && self.room[a] == self.room[b] {
+                        let (a, b) = (root(&mut parent, a), root(&mut parent, b));
+                        parent[a.max(b)] = a.min(b);
+                    }
+                }
+            }
+        });
+        let members: Vec<usize> = (0..self.side.len()).filter(|&p| counts(p)).collect();
+        let mut sizes: BTreeMap<(u8, usize), usize> = BTreeMap::new();
+        for &p in &members {
+            *sizes.entry((self.room[p], root(&mut parent, p))).or_insert(0) += 1;
+        }
+        let mut largest: BTreeMap<u8, (usize, usize)> = BTreeMap::new();
+        for (&(room, part), &size) in &sizes {
+            let best = largest.entry(room).or_insert((size, part));
+            if size > best.0 {
+                *best = (size, part);
+            }
+        }
+        members.into_iter().filter(|&p| largest.get(&self.room[p]).is_some_and(|&(_, part)| root(&mut parent, p) != part)).collect()
     }
 
     fn edges_through_the_wall(&self) -> Vec<[usize; 2]> {
@@ -72,10 +125,15 @@ impl Stuffing<'_> {
         self.side[point] == Side::Outside && others.iter().any(|&other| self.side[other] == Side::Outside)
     }
 
-    /// Down the slope of the level set; within the base plane for its points.
-    fn way_to_wall(&self, point: usize, level: &LevelSet) -> Option<Vector3<f64>> {
-        let slope = super::gradient(level, &self.position_mm[point], 0.01 * self.lattice.spacing_mm());
-        Some(-slope)
+    /// Down the slope of the level set, and along the axes.
+    fn ways_to_wall(&self, point: usize, level: &LevelSet) -> Vec<Vector3<f64>> {
+        let axes = (0..3).flat_map(|axis| [Vector3::ith(axis, 1.0), Vector3::ith(axis, -1.0)]);
+        std::iter::once(self.way_to_wall(point, level)).chain(axes).collect()
+    }
+
+    /// Down the slope of the level set.
+    fn way_to_wall(&self, point: usize, level: &LevelSet) -> Vector3<f64> {
+        -super::gradient(level, &self.position_mm[point], 0.01 * self.lattice.spacing_mm())
     }
 
     /// The place at `share` of the first stretch of wall on the way from a point, if it is within reach.
@@ -90,4 +148,12 @@ impl Stuffing<'_> {
         let is_within_reach = (place - self.position_mm[point]).norm() < REACH * self.lattice.spacing_mm();
         (is_within_reach && level(&place) < 0.0).then_some(place)
     }
+}
+
+fn root(parent: &mut [usize], mut point: usize) -> usize {
+    while parent[point] != point {
+        parent[point] = parent[parent[point]];
+        point = parent[point];
+    }
+    point
 }

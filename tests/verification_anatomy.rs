@@ -1,0 +1,182 @@
+//! The mesher and the anatomy against closed forms, over random shapes, and on a patient's labels.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may stop at the first surprise")]
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use cardiotwin::anatomy::mesher::{MesherSettings, WallShape, mesh_inside, mesh_wall};
+use cardiotwin::anatomy::{AnatomySettings, Region, Ventricle, build_lv_from_fields, complete_anatomy, directions_at_tetrahedra};
+use cardiotwin::image::{FieldOptions, VentricleCodes, read_label_map, ventricle_fields};
+use cardiotwin::mesh::io::{FieldArray, MeshFile, Numbering, TagCodes};
+use cardiotwin::mesh::{Cavity, MeshError, MeshQuality, SurfaceTag, TaggedSurface, TetMesh};
+use nalgebra::Vector3;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// A smooth random function of a position: a few waves of the given length, mm.
+fn waves(random: &mut ChaCha8Rng, length_mm: f64) -> impl Fn(&Vector3<f64>) -> f64 + Sync + use<> {
+    let mut draw = |scale: f64| Vector3::from_fn(|_, _| random.random_range(-scale..scale));
+    let waves: Vec<(Vector3<f64>, f64)> =
+        (0..6).map(|_| (draw(1.0).normalize() * (std::f64::consts::TAU / length_mm), draw(3.0).x)).collect();
+    move |p| waves.iter().map(|(wave, phase)| (wave.dot(p) + phase).sin()).sum::<f64>()
+}
+
+fn euler_characteristic(triangles: &[[usize; 3]]) -> i64 {
+    let vertices: BTreeSet<usize> = triangles.iter().flatten().copied().collect();
+    let edges: BTreeSet<[usize; 2]> =
+        triangles.iter().flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]).map(|[a, b]| [a.min(b), a.max(b)]).collect();
+    vertices.len() as i64 - edges.len() as i64 + triangles.len() as i64
+}
+
+/// [Labelle2007] proves 10.78° for its thresholds; nothing is optimised here.
+#[test]
+fn stuffing_keeps_its_angle_bound_on_smooth_random_shapes() {
+    let mut least_deg = f64::INFINITY;
+    for seed in 0..12 {
+        let wave = waves(&mut ChaCha8Rng::seed_from_u64(seed), 20.0);
+        let shape = |p: &Vector3<f64>| (p.norm() - 18.0).max(-0.2 - wave(p)).max(p.norm() - 17.0);
+        let settings = MesherSettings { edge_length_mm: 1.1, optimisation_passes: 0 };
+        let mesh = mesh_inside(&shape, &[Vector3::repeat(-18.0), Vector3::repeat(18.0)], &settings).unwrap();
+        least_deg = least_deg.min(MeshQuality::of(&mesh).dihedral_least_deg);
+    }
+    assert!(least_deg > 10.78, "{least_deg}");
+}
+
+/// A ball's volume error is that of a polyhedron with its corners on the sphere: second order in the edge.
+#[test]
+fn volume_of_a_spherical_shell_converges_at_second_order() {
+    let (inner, outer) = (20.0, 30.0);
+    let shell = |p: &Vector3<f64>| (p.norm() - outer).max(inner - p.norm());
+    let exact = 4.0 / 3.0 * std::f64::consts::PI * (outer.powi(3) - inner.powi(3));
+    let errors = [6.0, 3.0, 1.5].map(|edge_length_mm| {
+        let bounds = [Vector3::repeat(-31.0), Vector3::repeat(31.0)];
+        let mesh = mesh_inside(&shell, &bounds, &MesherSettings::with_edge_length_mm(edge_length_mm)).unwrap();
+        let triangles = mesh.boundary_triangles();
+        assert_eq!(euler_characteristic(&triangles), 4, "two spheres");
+        (mesh.total_volume_mm3() / exact - 1.0).abs()
+    });
+    assert!(errors[1] < errors[0] / 3.2 && errors[2] < errors[1] / 3.2, "{errors:?}");
+}
+
+/// A ventricle with a bumpy, tilted, unevenly thick wall.
+fn mesh_random_ventricle(seed: u64) -> (f64, Vector3<f64>, Vector3<f64>, TetMesh, TaggedSurface) {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let bumps = waves(&mut random, 40.0);
+    let (radius, length, wall) = (random.random_range(18.0..32.0), random.random_range(40.0..60.0), random.random_range(2.0..10.0));
+    let bump = random.random_range(0.0..0.8);
+    let shift = Vector3::from_fn(|_, _| random.random_range(-0.3..0.3)) * wall;
+    let ellipsoid = move |p: &Vector3<f64>, more: f64| {
+        let (r, l) = (radius + more, length + more);
+        r * (((p.x / r).powi(2) + (p.y / r).powi(2) + (p.z / l).powi(2)).sqrt() - 1.0)
+    };
+    let cavity = &move |p: &Vector3<f64>| ellipsoid(&(p - shift), 0.0) + bump * bumps(p);
+    let epicardium = move |p: &Vector3<f64>| ellipsoid(p, wall).min(cavity(p) - 2.0);
+    let normal = Vector3::new(random.random_range(-0.3..0.3), random.random_range(-0.3..0.3), 1.0).normalize();
+    let point = Vector3::new(0.0, 0.0, random.random_range(0.0..15.0));
+    let edge_length_mm = random.random_range(4.0..8.0);
+    let shape = WallShape {
+        epicardium: &epicardium,
+        cavities: vec![(Ventricle::Left, cavity)],
+        base_point_mm: point,
+        base_normal: normal,
+        bounds_mm: [Vector3::repeat(-75.0), Vector3::repeat(75.0)],
+    };
+    let (mesh, surface) =
+        mesh_wall(&shape, &MesherSettings::with_edge_length_mm(edge_length_mm)).unwrap_or_else(|e| panic!("seed {seed}: {e}"));
+    (wall / edge_length_mm, point, normal, mesh, surface)
+}
+
+#[test]
+fn random_ventricles_are_manifold_tagged_and_well_shaped() {
+    let mut least_deg = f64::INFINITY;
+    for seed in 0..12 {
+        let (elements, point, normal, mesh, surface) = mesh_random_ventricle(seed);
+        assert_eq!(euler_characteristic(surface.triangles()), 2, "seed {seed}: the boundary of a cup is one sphere");
+        for (tag, expected) in [(SurfaceTag::EndocardiumLv, 1), (SurfaceTag::Epicardium, 1), (SurfaceTag::Base, 0)] {
+            let patch: Vec<[usize; 3]> = surface.triangles_with(tag).collect();
+            assert_eq!(euler_characteristic(&patch), expected, "seed {seed}: {tag:?} is a disc or a ring");
+        }
+        for vertex in surface.vertices_with(SurfaceTag::Base) {
+            assert!(normal.dot(&(mesh.vertices_mm()[vertex] - point)).abs() < 1e-9, "seed {seed}: the base is flat");
+        }
+        let quality = MeshQuality::of(&mesh);
+        least_deg = least_deg.min(quality.dihedral_least_deg);
+        // Walls of less than an edge length are beyond the bound; they must only not be inverted, which the mesh itself checks.
+        assert!(quality.dihedral_least_deg > if elements > 1.5 { 20.0 } else { 2.0 }, "seed {seed}, {elements}: {quality:?}");
+    }
+    assert!(least_deg > 2.0, "{least_deg}");
+}
+
+/// Labels of 1.4 × 1.4 × 10 mm. A cavity of 246 mL and a wall of 136 mL by counting voxels; the mesh must hold them within 2 %.
+#[test]
+fn a_patient_becomes_a_mesh_of_the_labels_volumes() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/sunnybrook_SCD0000201/labels_ED_crop.nii.gz");
+    if !path.exists() {
+        return;
+    }
+    let labels = read_label_map(&path).unwrap();
+    let fields = ventricle_fields(&labels, &VentricleCodes { cavity: 1, wall: 2 }, &FieldOptions::default()).unwrap();
+    let mesher = MesherSettings::with_edge_length_mm(6.5);
+    let anatomy = build_lv_from_fields(&fields, &mesher, &AnatomySettings::default()).unwrap();
+    let cavity = Cavity::new(&anatomy.surface, SurfaceTag::EndocardiumLv).unwrap();
+    let cavity_ml = cavity.volume_mm3(anatomy.mesh.vertices_mm()) / 1e3;
+    let quality = MeshQuality::of(&anatomy.mesh);
+    assert!((cavity_ml / fields.report.labelled_cavity_ml - 1.0).abs() < 0.02, "{cavity_ml} mL");
+    assert!((quality.volume_mm3 / 1e3 / fields.report.labelled_wall_ml - 1.0).abs() < 0.02, "{quality:?}");
+    assert!(quality.dihedral_least_deg > 12.0 && quality.dihedral_percentile_1_deg > 20.0, "{quality:?}");
+    assert!((2000..4000).contains(&quality.vertex_count), "{quality:?}");
+    assert!((anatomy.axes.long_axis - fields.long_axis).norm() < 0.5, "{:?} {:?}", anatomy.axes, fields.long_axis);
+    assert!((1..=17).all(|segment| anatomy.aha_segments.contains(&segment)));
+}
+
+fn numbers<T: std::str::FromStr>(path: &Path) -> Vec<T> {
+    let text = std::fs::read_to_string(path).unwrap();
+    text.split_ascii_whitespace().filter_map(|word| word.parse().ok()).collect()
+}
+
+/// The biventricle of the cardiac elastodynamics benchmark: plain text, in metres, with fibres at its nodes.
+#[test]
+fn the_benchmark_biventricle_becomes_an_anatomy_with_its_own_fibres() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/benchmark_biventricle");
+    if !folder.exists() {
+        return;
+    }
+    let vectors = |numbers: Vec<f64>, width: usize, from: usize| -> Vec<Vector3<f64>> {
+        numbers.chunks_exact(width).map(|row| Vector3::new(row[from], row[from + 1], row[from + 2])).collect()
+    };
+    let boundary: Vec<usize> = numbers(&folder.join("boundary_tris_0based_and_tag.txt"));
+    let tags = FieldArray { components: 1, values: boundary.chunks_exact(4).map(|row| row[3] as f64).collect() };
+    let file = MeshFile {
+        points: vectors(numbers(&folder.join("nodes_xyz_m.txt")), 3, 0),
+        tetrahedra: numbers(&folder.join("tets_0based.txt")).chunks_exact(4).map(|t| [t[0], t[1], t[2], t[3]]).collect(),
+        triangles: boundary.chunks_exact(4).map(|row| [row[0], row[1], row[2]]).collect(),
+        triangle_fields: [("tag".to_string(), tags)].into(),
+        ..MeshFile::default()
+    };
+    assert!(matches!(file.to_tet_mesh(1.0, Numbering::Oriented), Err(MeshError::ImplausibleSize { .. })), "metres are noticed");
+    let mesh = file.to_tet_mesh(1000.0, Numbering::Free).unwrap();
+    assert_eq!((mesh.vertex_count(), mesh.tetrahedron_count()), (11_444, 45_304));
+    let surface = file.to_tagged_surface(&mesh, "tag", &TagCodes::default()).unwrap();
+    let anatomy = complete_anatomy(mesh, surface, &AnatomySettings::default()).unwrap();
+    let share = |region: Region| {
+        let of_region = (0..anatomy.regions.len()).filter(|&t| anatomy.regions[t] == region);
+        of_region.map(|t| anatomy.mesh.volume_mm3(t)).sum::<f64>() / anatomy.mesh.total_volume_mm3()
+    };
+    let shares = [Region::FreeWallLv, Region::Septum, Region::FreeWallRv].map(share);
+    assert!(shares[0] > 0.35 && (0.1..0.35).contains(&shares[1]) && (0.1..0.4).contains(&shares[2]), "{shares:?}");
+    // Its own fibres, and how far the rule of the same angles is from them on the LV.
+    let at_nodes = numbers(&folder.join("fibre_sheet_normal_nodal.txt"));
+    let fibres = directions_at_tetrahedra(&anatomy.mesh, &vectors(at_nodes.clone(), 9, 0));
+    let sheets = directions_at_tetrahedra(&anatomy.mesh, &vectors(at_nodes, 9, 3));
+    let by_rule = anatomy.fibre_axes.clone();
+    let anatomy = anatomy.with_fibres(&fibres, Some(&sheets)).unwrap();
+    let mut angles_deg: Vec<f64> = (0..by_rule.len())
+        .filter(|&t| anatomy.regions[t] == Region::FreeWallLv)
+        .map(|t| by_rule[t].column(0).dot(&anatomy.fibre_axes[t].column(0)).abs().min(1.0).acos().to_degrees())
+        .collect();
+    angles_deg.sort_by(f64::total_cmp);
+    println!("{shares:?} median angle {}", angles_deg[angles_deg.len() / 2]);
+    let cavities: Vec<f64> = anatomy.cavities.iter().map(|(_, c)| c.volume_mm3(anatomy.mesh.vertices_mm()) / 1e3).collect();
+    println!("{cavities:?}");
+}
