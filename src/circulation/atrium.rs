@@ -1,4 +1,4 @@
-//! Atrial pressure: a baseline with a kick that ends when the ventricles start, \[Billet2009\] §2 ("the values of the pressures in the atria").
+//! Atrial pressure: a baseline with a kick before the ventricles' beat, \[Billet2009\] §2 ("the values of the pressures in the atria").
 
 use std::f64::consts::PI;
 
@@ -7,9 +7,10 @@ use super::error::positive;
 
 /// A given, periodic pressure of an atrium,
 ///
-/// $$p_\text{at}(t) = p_0 + \Delta p\,\sin^2\!\Big(\pi\,\frac{t - (t_\text{on} - T)}{T}\Big) \quad\text{for } t_\text{on} - T \le t \le t_\text{on},$$
+/// $$p_\text{at}(t) = p_0 + \Delta p\,\sin^2\!\Big(\pi\,\frac{t - (t_\text{e} - T)}{T}\Big) \quad\text{for } t_\text{e} - T \le t \le t_\text{e},$$
 ///
-/// $p_0$ outside, repeated each heart period; $t_\text{on}$ is the onset of the ventricles, so that the falling flank shuts the valve.
+/// $p_0$ outside, repeated each heart period. Where the end $t_\text{e}$ comes before the ventricle contracts, the falling flank shuts the
+/// valve; where it comes a little after the onset, the ventricle's rising pressure does, as in life.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AtrialPressure {
     baseline_kpa: f64,
@@ -53,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_kick_ends_at_the_onset_and_repeats_each_period() {
+    fn the_kick_ends_when_told_and_repeats_each_period() {
         let atrium = AtrialPressure::new(1.0, 0.5, 0.02, 0.12, 0.8).unwrap();
         assert!((atrium.pressure_kpa(0.02) - 1.0).abs() < 1e-12);
         assert!((atrium.pressure_kpa(-0.04) - 1.5).abs() < 1e-12, "half of the kick before its end it peaks");

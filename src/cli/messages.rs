@@ -54,6 +54,11 @@ fn anatomy(plan: &Plan) -> String {
         AnatomySource::Labels { path, codes, frame } => {
             format!("{} (cavity {}, wall {}) on frame {frame}", name(path), codes.cavity_lv, codes.wall_lv)
         }
+        AnatomySource::Mesh(mesh) => return format!("{}, fibres by {}", name(&mesh.path), mesh.fibres.word()),
+        AnatomySource::IdealisedBiventricle { shape, .. } => format!(
+            "idealised ventricles, LV cavity {} × {} mm, walls {} and {} mm",
+            shape.lv_radius_mm, shape.lv_length_mm, shape.lv_wall_mm, shape.rv_wall_mm
+        ),
         AnatomySource::IdealisedLv(lv) => {
             format!(
                 "idealised left ventricle, cavity {} × {} mm, wall {} mm",

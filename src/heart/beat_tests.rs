@@ -133,10 +133,12 @@ fn beats_become_periodic() {
     assert!(late < 0.6 * early, "{early} mL, then {late} mL");
 }
 
-/// Backward Euler in the muscle and steps of constant flow in the arteries: halving h halves the error.
+/// Backward Euler in the muscle and steps of constant flow in the arteries: halving h halves the error. No valve moves on the way: the
+/// atrial kick is over before.
 #[test]
 fn the_pressure_converges_at_first_order_in_the_step() {
-    let pressure = |step_s: f64| beat(&model(Parameters::default(), step_s), -0.04, 0.056, &[]).last.ventricles[0].pressure_kpa;
+    let parameters = Parameters::default().with(Parameter::AtrialKickOverlap, 0.0).unwrap();
+    let pressure = |step_s: f64| beat(&model(parameters.clone(), step_s), -0.04, 0.056, &[]).last.ventricles[0].pressure_kpa;
     let pressures = [0.004, 0.002, 0.001, 0.0005].map(pressure);
     let orders: Vec<f64> = pressures.windows(3).map(|p| ((p[0] - p[1]) / (p[1] - p[2])).abs().log2()).collect();
     assert!((orders[1] - 1.0).abs() < 0.25, "orders {orders:?} of {pressures:?} kPa");

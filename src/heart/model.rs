@@ -248,7 +248,7 @@ impl VentricleModel {
     }
 }
 
-/// Artery, atrium and initial p_C of a ventricle. The atrial kick ends when the ventricles start.
+/// Artery, atrium and initial p_C of a ventricle. The atrial kick ends when the ventricles have begun to rise.
 fn circulation(ventricle: Ventricle, parameters: &Parameters) -> Result<(Windkessel, AtrialPressure, f64), HeartError> {
     use Parameter as P;
     let [resistance, impedance, compliance, venous, initial, atrial, kick] = match ventricle {
@@ -273,8 +273,9 @@ fn circulation(ventricle: Ventricle, parameters: &Parameters) -> Result<(Windkes
     }
     .map(|parameter| parameters[parameter]);
     let artery = Windkessel::new(resistance, impedance, compliance, venous)?;
-    let (onset_s, duration_s, period_s) = (parameters[P::OnsetTime], parameters[P::AtrialKickDuration], parameters[P::HeartPeriod]);
-    Ok((artery, AtrialPressure::new(atrial, kick, onset_s, duration_s, period_s)?, initial))
+    let kick_end_s = parameters[P::OnsetTime] + parameters[P::AtrialKickOverlap];
+    let (duration_s, period_s) = (parameters[P::AtrialKickDuration], parameters[P::HeartPeriod]);
+    Ok((artery, AtrialPressure::new(atrial, kick, kick_end_s, duration_s, period_s)?, initial))
 }
 
 /// Assembles and factorises the step; the ordering of a tissue of the same mesh is kept.

@@ -108,7 +108,8 @@ parameter_table! {
     AtrialPressureRight: Circulation "atrial_pressure_right_kpa" ["kPa"] = 0.4 in 0.0..4.0, "Right atrial pressure outside the kick.", "RA 0-5 mmHg";
     AtrialKickLeft: Circulation "atrial_kick_left_kpa" ["kPa"] = 0.5 in 0.0..4.0, "Height of the left atrial kick.", "chosen";
     AtrialKickRight: Circulation "atrial_kick_right_kpa" ["kPa"] = 0.3 in 0.0..4.0, "Height of the right atrial kick.", "chosen";
-    AtrialKickDuration: Circulation "atrial_kick_duration_s" ["s"] = 0.12 in 0.01..0.4, "Duration of the atrial kick, which ends at the onset of the ventricles.", "about 0.1 s";
+    AtrialKickDuration: Circulation "atrial_kick_duration_s" ["s"] = 0.12 in 0.01..0.4, "Duration of the atrial kick.", "about 0.1 s";
+    AtrialKickOverlap: Circulation "atrial_kick_overlap_s" ["s"] = 0.05 in -0.3..0.3, "How long the atrial kick outlasts the onset of the ventricles, whose pressure then shuts the valve.", "chosen: isovolumetric contraction of 40 ms, not of 95 ms as where the kick ends with the onset";
     ValveResistance: Circulation "valve_resistance_kpa_s_per_ml" ["kPa·s/mL"] = 0.002 in 1e-6..0.1, "Resistance of an open valve.", "chosen: 1 kPa at 500 mL/s";
     ImageGainEndocardiumLv: Tracking "image_gain_endocardium_lv_kpa_per_mm" ["kPa/mm"] = 20.0 in 0.0..1e4, "Image gain γ per area on the LV endocardium.", "chosen from held-out boundary points";
     ImageGainEndocardiumRv: Tracking "image_gain_endocardium_rv_kpa_per_mm" ["kPa/mm"] = 20.0 in 0.0..1e4, "Image gain γ per area on the RV endocardium.", "chosen from held-out boundary points";

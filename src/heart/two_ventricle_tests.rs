@@ -7,7 +7,9 @@ use nalgebra::Vector3;
 
 use super::idealised_lv::IdealisedLv;
 use super::*;
-use crate::anatomy::{Anatomy, Region, Ventricle};
+use crate::anatomy::mesher::MesherSettings;
+use crate::anatomy::{Anatomy, AnatomySettings, IdealisedBiventricle, Region, Ventricle};
+use crate::circulation::Phase;
 use crate::mesh::{Cavity, SurfaceTag, TaggedSurface, TetMesh};
 
 /// The same chamber as a right ventricle, elsewhere.
@@ -69,4 +71,26 @@ fn ventricles_that_touch_nowhere_beat_as_each_does_alone() {
         volumes.clone().fold(0.0, f64::max) - volumes.fold(f64::INFINITY, f64::min)
     };
     assert!(ejected(|row| row.volume_lv_ml) > 20.0 && ejected(|row| row.volume_rv_ml) > 20.0, "both eject");
+}
+
+/// Two ventricles with a common septum pull at each other's volumes; both must be met all the same, and both go through the four phases.
+#[test]
+fn two_ventricles_with_a_septum_conserve_blood_through_the_four_phases() {
+    let mesher = MesherSettings::with_edge_length_mm(9.0);
+    let anatomy = IdealisedBiventricle::default().build(&mesher, &AnatomySettings::default()).unwrap();
+    let model = HeartModel::new(Arc::new(anatomy), Parameters::default(), ModelSettings::default()).unwrap();
+    let plan = SimulationPlan { start_time_s: -0.15, end_time_s: 0.65, frame_times_s: vec![] };
+    let curves = simulate(&model, &plan, &[], &mut |_, _| ControlFlow::Continue(())).unwrap().curves;
+    for ventricle in [Ventricle::Left, Ventricle::Right] {
+        let rows: Vec<(f64, VentricleCurve)> = curves.iter().map(|row| (row.time_s, row.ventricle(ventricle).unwrap())).collect();
+        for pair in rows.windows(2) {
+            let ((start_s, before), (end_s, after)) = (pair[0], pair[1]);
+            let sent_ml = (end_s - start_s) * (after.inflow_ml_per_s - after.outflow_ml_per_s);
+            assert!((after.volume_ml - before.volume_ml - sent_ml).abs() < 1.01e-6, "{ventricle:?} at {end_s} s");
+        }
+        let mut phases: Vec<Phase> = rows.iter().map(|(_, curve)| curve.phase).collect();
+        phases.dedup();
+        assert_eq!(phases[..1], [Phase::Filling], "{ventricle:?}: {phases:?}");
+        assert_eq!(phases[1..], Phase::CYCLE, "{ventricle:?}");
+    }
 }

@@ -1,10 +1,15 @@
-//! `[anatomy]`: the heart at rest, from a label map of a patient or from an idealised shape, \[Billet2009\] §3.
+//! `[anatomy]`: the heart at rest, from a label map of a patient, a mesh made elsewhere or an idealised shape, \[Billet2009\] §3.
 
 use std::path::PathBuf;
 
 use nalgebra::Vector3;
 
+use super::mesh_file::{self, MeshPlan};
+use crate::anatomy::IdealisedBiventricle;
 use crate::study::reader::TableReader;
+
+/// Before the atrial kick of a beat at rest, s after the trigger: the filling has come to an end, and the heart is nearly still.
+pub(super) const DIASTASIS_S: f64 = -0.15;
 
 /// The heart at rest.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,6 +39,22 @@ pub enum AnatomySource {
     },
     /// A truncated ellipsoid.
     IdealisedLv(IdealisedLv),
+    /// Two ventricles between ellipsoids.
+    IdealisedBiventricle {
+        /// `[anatomy.idealised_biventricle]`.
+        shape: IdealisedBiventricle,
+        /// `reference_time_s`, as for [`IdealisedLv::reference_time_s`].
+        reference_time_s: f64,
+    },
+    /// A mesh made elsewhere.
+    Mesh(MeshPlan),
+}
+
+impl AnatomySource {
+    /// Whether the shape is made up.
+    pub fn is_idealised(&self) -> bool {
+        matches!(self, Self::IdealisedLv(_) | Self::IdealisedBiventricle { .. })
+    }
 }
 
 /// What the numbers of a label map mean.
@@ -72,15 +93,30 @@ pub struct FibrePlan {
 }
 
 pub(super) fn read(table: TableReader) -> AnatomyPlan {
-    let ideal = table.table("idealised_lv");
-    let is_ideal = ideal.is_written();
-    match (is_ideal, table.has("labels")) {
-        (true, true) => table.problem("labels", "stands beside [anatomy.idealised_lv]", "take one of the two away"),
-        (false, false) => table.missing("labels", "labels = \"…\" (a label map), or [anatomy.idealised_lv]"),
+    let [lv, biventricle, mesh] = ["idealised_lv", "idealised_biventricle", "mesh"].map(|key| table.table(key));
+    let written = [
+        ("labels", table.has("labels")),
+        ("idealised_lv", lv.is_written()),
+        ("idealised_biventricle", biventricle.is_written()),
+        ("mesh", mesh.is_written()),
+    ];
+    let mut sources = written.iter().filter(|(_, is_written)| *is_written).map(|(key, _)| *key);
+    let first = sources.next();
+    match (first, sources.next()) {
+        (None, _) => table
+            .missing("labels", "labels = \"…\" (a label map), [anatomy.mesh], [anatomy.idealised_lv] or [anatomy.idealised_biventricle]"),
+        (Some(one), Some(other)) => {
+            table.problem(one, format!("stands beside {other}"), "the heart has one shape: take one of the two away")
+        }
         _ => {}
     }
-    let idealised = read_idealised(ideal);
-    let source = if is_ideal { AnatomySource::IdealisedLv(idealised) } else { read_labels(&table) };
+    let (lv, (shape, reference_time_s), mesh) = (read_idealised(lv), read_biventricle(biventricle), mesh_file::read(mesh));
+    let source = match first {
+        Some("idealised_lv") => AnatomySource::IdealisedLv(lv),
+        Some("idealised_biventricle") => AnatomySource::IdealisedBiventricle { shape, reference_time_s },
+        Some("mesh") => AnatomySource::Mesh(mesh),
+        _ => read_labels(&table),
+    };
     let plan = AnatomyPlan {
         source,
         edge_length_mm: table.number("edge_length_mm", 0.5..=20.0, 5.0),
@@ -123,4 +159,25 @@ fn read_idealised(table: TableReader) -> IdealisedLv {
     }
     table.close();
     plan
+}
+
+fn read_biventricle(table: TableReader) -> (IdealisedBiventricle, f64) {
+    let default = IdealisedBiventricle::default();
+    let length = |key, default| table.number(key, 0.5..=200.0, default);
+    let shape = IdealisedBiventricle {
+        lv_radius_mm: length("lv_radius_mm", default.lv_radius_mm),
+        lv_length_mm: length("lv_length_mm", default.lv_length_mm),
+        lv_wall_mm: length("lv_wall_mm", default.lv_wall_mm),
+        rv_width_mm: length("rv_width_mm", default.rv_width_mm),
+        rv_depth_mm: length("rv_depth_mm", default.rv_depth_mm),
+        rv_length_mm: length("rv_length_mm", default.rv_length_mm),
+        rv_offset_mm: length("rv_offset_mm", default.rv_offset_mm),
+        rv_wall_mm: length("rv_wall_mm", default.rv_wall_mm),
+        rounding_mm: length("rounding_mm", default.rounding_mm),
+        base_height_mm: table.number("base_height_mm", 0.0..=150.0, default.base_height_mm),
+        ..default
+    };
+    let reference_time_s = table.number("reference_time_s", -2.5..=2.5, DIASTASIS_S);
+    table.close();
+    (shape, reference_time_s)
 }

@@ -3,6 +3,7 @@
 mod anatomy;
 mod beats;
 mod images;
+mod mesh_file;
 mod model;
 mod output;
 mod personalisation;
@@ -15,6 +16,7 @@ use std::path::PathBuf;
 pub use anatomy::{AnatomyPlan, AnatomySource, FibrePlan, IdealisedLv, LabelCodes};
 pub use beats::{Beats, BeatsPlan};
 pub use images::{ImageSource, ImagesPlan, ReferenceLabels};
+pub use mesh_file::{FibreSource, MeshPlan};
 pub use model::{ModelPlan, OnsetPlan, OnsetSite};
 pub use output::OutputPlan;
 pub use personalisation::{FreeParameter, PersonalisationPlan};
@@ -97,7 +99,7 @@ impl Plan {
     /// Every file that the study reads.
     pub fn input_files(&self) -> Vec<PathBuf> {
         let mut files = Vec::new();
-        if let AnatomySource::Labels { path, .. } = &self.anatomy.source {
+        if let AnatomySource::Labels { path, .. } | AnatomySource::Mesh(MeshPlan { path, .. }) = &self.anatomy.source {
             files.push(path.clone());
         }
         if let Some(ImageSource::Cine(images)) = &self.images {
@@ -176,18 +178,19 @@ fn images_of(
     cine: Option<ImagesPlan>,
     phantom: Option<PhantomPlan>,
 ) -> Option<ImageSource> {
-    let is_idealised = matches!(anatomy.source, AnatomySource::IdealisedLv(_));
+    let is_lv = matches!(anatomy.source, AnatomySource::IdealisedLv(_));
+    let has_labels = matches!(anatomy.source, AnatomySource::Labels { .. });
     match (cine, phantom) {
         (Some(_), Some(_)) => {
             root.problem("phantom", "stands beside [images]", "images are either read ([images]) or made ([phantom]): take one away");
             None
         }
-        (None, Some(_)) if !is_idealised => {
-            root.problem("phantom", "needs an anatomy that is known exactly", "write [anatomy.idealised_lv] in place of labels");
+        (None, Some(_)) if !is_lv => {
+            root.problem("phantom", "needs a left ventricle that is known exactly", "write [anatomy.idealised_lv] as its only shape");
             None
         }
-        (Some(_), None) if is_idealised => {
-            root.problem("images", "cannot show an idealised heart", "write labels in [anatomy], or [phantom] in place of [images]");
+        (Some(_), None) if !has_labels => {
+            root.problem("images", "need labels that were drawn on them", "write labels in [anatomy], or [phantom] in place of [images]");
             None
         }
         (Some(images), None) => Some(ImageSource::Cine(images)),

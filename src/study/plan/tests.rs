@@ -89,6 +89,26 @@ fn a_wrong_type_is_told_the_right_one() {
 }
 
 #[test]
+fn the_heart_has_one_shape() {
+    let biventricle = plan("kind = \"simulate\"\n[anatomy.idealised_biventricle]\nrv_wall_mm = 3.5\n", &[]).unwrap();
+    let AnatomySource::IdealisedBiventricle { shape, .. } = biventricle.anatomy.source else { panic!("{:?}", biventricle.anatomy.source) };
+    assert_eq!(shape.rv_wall_mm, 3.5);
+    let two = problem(&format!("{SIMULATE}[anatomy.idealised_biventricle]\n"), &[]);
+    assert!(two.contains("anatomy.idealised_lv stands beside idealised_biventricle"), "{two}");
+    let images = "kind = \"track\"\n[anatomy.idealised_biventricle]\n[phantom]\n";
+    assert!(problem(images, &[]).contains("needs a left ventricle that is known exactly"));
+}
+
+#[test]
+fn a_mesh_names_its_file_and_gives_each_surface_its_code() {
+    let mesh = "kind = \"simulate\"\n[anatomy.mesh]\n";
+    assert!(problem(mesh, &[]).contains("anatomy.mesh.file is missing"));
+    assert!(problem(&format!("{mesh}file = \"heart.vtu\"\n"), &[]).contains("some/heart.vtu does not exist"));
+    let twice = plan(&format!("{mesh}file = \"heart.vtu\"\ncode_base = 30\n"), &[]).unwrap_err().to_string();
+    assert!(twice.contains("gives two surfaces the code 30"), "{twice}");
+}
+
+#[test]
 fn beats_are_counted_or_go_on_until_they_repeat() {
     assert_eq!(plan(SIMULATE, &[]).unwrap().simulation.beats, Beats::Count(1));
     assert_eq!(plan(SIMULATE, &["simulation.beats=3"]).unwrap().simulation.beats, Beats::Count(3));

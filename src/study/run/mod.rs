@@ -5,6 +5,7 @@ mod clock;
 mod error;
 mod forward;
 mod leave;
+mod mesh_file;
 mod patient;
 mod personalise;
 mod pictures;

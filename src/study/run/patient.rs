@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::clock::Clock;
 use super::error::RunError;
+use super::mesh_file::anatomy_of_file;
 use super::synthetic::{self, Truth};
 use crate::anatomy::mesher::MesherSettings;
 use crate::anatomy::{Anatomy, AnatomySettings, FibreRule, build_lv_from_fields};
@@ -43,22 +44,21 @@ pub(super) struct PatientImages {
 impl Patient {
     /// Reads or makes the patient of a plan.
     pub(super) fn new(plan: &Plan, context: &RunContext) -> Result<Self, RunError> {
+        let building = || context.progress().stage("building the anatomy", None);
         match (&plan.anatomy.source, &plan.images) {
             (AnatomySource::IdealisedLv(shape), Some(ImageSource::Phantom(phantom))) => synthetic::patient(plan, shape, phantom, context),
             (AnatomySource::IdealisedLv(shape), _) => {
-                context.progress().stage("building the anatomy", None);
-                let anatomy = idealised_anatomy(&plan.anatomy, shape)?;
-                let reference_s = shape.reference_time_s;
-                let parameters = plan.parameters.clone();
-                Ok(Self {
-                    anatomy: Arc::new(anatomy),
-                    parameters,
-                    images: None,
-                    truth: None,
-                    reference_s,
-                    frames_without_images: plan.simulation.frames,
-                    warnings: Vec::new(),
-                })
+                building();
+                Ok(Self::without_images(plan, idealised_anatomy(&plan.anatomy, shape)?, shape.reference_time_s))
+            }
+            (AnatomySource::IdealisedBiventricle { shape, reference_time_s }, _) => {
+                building();
+                let mesher = MesherSettings::with_edge_length_mm(plan.anatomy.edge_length_mm);
+                Ok(Self::without_images(plan, shape.build(&mesher, &anatomy_settings(&plan.anatomy))?, *reference_time_s))
+            }
+            (AnatomySource::Mesh(mesh), _) => {
+                building();
+                Ok(Self::without_images(plan, anatomy_of_file(mesh, &anatomy_settings(&plan.anatomy))?, mesh.reference_time_s))
             }
             (AnatomySource::Labels { path, codes, frame }, images) => {
                 context.progress().stage("reading images and labels", None);
@@ -75,6 +75,19 @@ impl Patient {
                 let (anatomy, frames_without_images) = (Arc::new(anatomy), plan.simulation.frames);
                 Ok(Self { anatomy, parameters, images, truth: None, reference_s: 0.0, frames_without_images, warnings })
             }
+        }
+    }
+
+    /// A heart that no image shows.
+    fn without_images(plan: &Plan, anatomy: Anatomy, reference_s: f64) -> Self {
+        Self {
+            anatomy: Arc::new(anatomy),
+            parameters: plan.parameters.clone(),
+            images: None,
+            truth: None,
+            reference_s,
+            frames_without_images: plan.simulation.frames,
+            warnings: Vec::new(),
         }
     }
 
