@@ -83,14 +83,16 @@ impl HeartModel {
         workspace.predict(state, step_s);
         let mut solve = self.solve_free(state, workspace).map_err(mechanics)?;
         let mut defect_mm3 = f64::INFINITY;
+        let mut pressure_kpa = DVector::from_iterator(before_mm3.len(), state.ventricles.iter().map(|ventricle| ventricle.pressure_kpa));
         for round_count in 1..=ROUND_LIMIT {
             if round_count > 1 {
                 solve.iteration_count += self.solve_yields(workspace).map_err(mechanics)?;
             }
-            let response = self.cavity_response(workspace);
+            let response = self.cavity_response(workspace, &pressure_kpa);
             let valves = ValveProblem::new(&response, &before_mm3, &ports, self.valve_resistance(), step_s).map_err(circulation)?;
             let flows = valves.solve().map_err(circulation)?;
             workspace.move_trial(&flows);
+            pressure_kpa.iter_mut().zip(&flows).for_each(|(pressure, flow)| *pressure = flow.pressure_kpa);
             self.check_distance(state, &workspace.trial_mm)?;
             let after_mm3 = self.volumes_mm3(&workspace.trial_mm);
             defect_mm3 =
@@ -165,8 +167,12 @@ impl HeartModel {
         }
     }
 
-    /// V_k(p) = V_k(Y*) + ∂V_k·(y₀ − Y*) + Σ_l p_l ∂V_k·W_l.
-    fn cavity_response(&self, workspace: &StepWorkspace) -> CavityResponse {
+    /// V_k(p) = V_k(Y*) + ∂V_k·(y₀ − Y*) + Σ_l C_kl p_l with C_kl = ∂V_k·W_l.
+    ///
+    /// C is symmetric only where the loads are the gradients: not at a moved surface under loads of the heart at rest, nor where the
+    /// data's stiffness is not symmetric. The valves see its symmetric part; the rest acts at `pressure_kpa`, those of the last round, so
+    /// that the rounds end where the volumes are met.
+    fn cavity_response(&self, workspace: &StepWorkspace, pressure_kpa: &DVector<f64>) -> CavityResponse {
         let StepWorkspace { free_mm, trial_mm, gradients_mm2, yields_mm_per_kpa, .. } = workspace;
         let count = gradients_mm2.len();
         let mut volume_mm3 = DVector::from_vec(self.volumes_mm3(trial_mm));
@@ -174,8 +180,8 @@ impl HeartModel {
             *volume += gradient.iter().zip(free_mm).zip(trial_mm).map(|((g, free), trial)| g.dot(&(free - trial))).sum::<f64>();
         }
         let compliance = DMatrix::from_fn(count, count, |k, l| dot(&gradients_mm2[k], &yields_mm_per_kpa[l]));
-        // Where the data's stiffness is not symmetric, or solved for iteratively, C is symmetric to that extent only.
         let compliance_mm3_per_kpa = (&compliance + compliance.transpose()) * 0.5;
+        volume_mm3 += (compliance - &compliance_mm3_per_kpa) * pressure_kpa;
         CavityResponse { volume_mm3, compliance_mm3_per_kpa }
     }
 
