@@ -4,7 +4,6 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{AnatomyError, HeartAxes};
-use crate::mesh::TetMesh;
 
 /// Helix angles of the fibres: linear in the transmural depth, against the circumferential direction, positive for a right-handed helix
 /// about the long axis.
@@ -71,14 +70,4 @@ pub(super) fn orthonormal_axes(fibre: &Vector3<f64>, sheet: &Vector3<f64>) -> Op
     let sheet = sheet.try_normalize(1e-9)?;
     let sheet = (sheet - fibre * fibre.dot(&sheet)).try_normalize(1e-3)?;
     Some(Matrix3::from_columns(&[fibre, sheet, fibre.cross(&sheet)]))
-}
-
-/// Directions given at vertices (a fibre's sign means nothing) taken to tetrahedra: the principal axis of $\sum v v^\top$ over the corners.
-pub fn directions_at_tetrahedra(mesh: &TetMesh, at_vertices: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
-    let principal = |corners: &[usize; 4]| {
-        let spread: Matrix3<f64> = corners.iter().map(|&vertex| at_vertices[vertex] * at_vertices[vertex].transpose()).sum();
-        let eigen = spread.symmetric_eigen();
-        eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned()
-    };
-    mesh.tetrahedra().iter().map(principal).collect()
 }

@@ -11,7 +11,7 @@ mod transmural;
 
 pub use build::{AnatomySettings, build_anatomy, build_lv_from_fields, complete_anatomy};
 pub use error::AnatomyError;
-pub use fibres::{FibreRule, directions_at_tetrahedra};
+pub use fibres::FibreRule;
 pub use idealised_biventricle::IdealisedBiventricle;
 pub use segments::DEFAULT_SEPTAL_DIRECTION;
 

@@ -54,7 +54,13 @@ fn anatomy(plan: &Plan) -> String {
         AnatomySource::Labels { path, codes, frame } => {
             format!("{} (cavity {}, wall {}) on frame {frame}", name(path), codes.cavity_lv, codes.wall_lv)
         }
-        AnatomySource::Mesh(mesh) => return format!("{}, fibres by {}", name(&mesh.path), mesh.fibres.word()),
+        AnatomySource::Mesh(mesh) => {
+            let fibres = match &mesh.fibre_field {
+                Some(field) => format!("its own (`{field}`)"),
+                None => format!("{}° to {}°", plan.anatomy.fibres.endocardium_deg, plan.anatomy.fibres.epicardium_deg),
+            };
+            return format!("mesh {} in {}; fibres {fibres}", name(mesh.source.path()), mesh.unit.word());
+        }
         AnatomySource::IdealisedBiventricle { shape, .. } => format!(
             "idealised ventricles, LV cavity {} × {} mm, walls {} and {} mm",
             shape.lv_radius_mm, shape.lv_length_mm, shape.lv_wall_mm, shape.rv_wall_mm

@@ -1,6 +1,6 @@
 //! A ventricular cavity: endocardium closed by a lid over its rim; volume and gradient by the divergence theorem.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::Vector3;
 
@@ -21,14 +21,15 @@ impl Cavity {
     /// Closes the endocardium `tag` of a surface.
     ///
     /// # Errors
-    /// [`MeshError::MissingSurface`] if no triangle has the tag, [`MeshError::OpenEndocardium`] if its rim is not one loop.
+    /// [`MeshError::MissingSurface`] if no triangle has the tag, [`MeshError::OpenEndocardium`] if its rim is not one
+    /// loop, [`MeshError::ClosedEndocardium`] if it has none.
     pub fn new(surface: &TaggedSurface, tag: SurfaceTag) -> Result<Self, MeshError> {
         // Outward from the myocardium is into the blood: turn the triangles round.
         let endocardium: Vec<[usize; 3]> = surface.triangles_with(tag).map(|[a, b, c]| [a, c, b]).collect();
         if endocardium.is_empty() {
             return Err(MeshError::MissingSurface { tag });
         }
-        let rim = rim_loop(&endocardium).map_err(|loop_count| MeshError::OpenEndocardium { tag, loop_count })?;
+        let rim = rim_loop(tag, &endocardium)?;
         Ok(Self { tag, endocardium, rim })
     }
 
@@ -79,35 +80,35 @@ impl Cavity {
     }
 }
 
-/// Orders the boundary edges of a triangle set into one loop, or says how many loops there are.
-fn rim_loop(triangles: &[[usize; 3]]) -> Result<Vec<usize>, usize> {
-    let mut next = BTreeMap::new();
-    let mut directed = std::collections::BTreeSet::new();
+/// Orders the boundary edges of a triangle set into one loop.
+fn rim_loop(tag: SurfaceTag, triangles: &[[usize; 3]]) -> Result<Vec<usize>, MeshError> {
+    let mut directed = BTreeSet::new();
     for &[a, b, c] in triangles {
         directed.extend([(a, b), (b, c), (c, a)]);
     }
-    let open: Vec<(usize, usize)> = directed.iter().copied().filter(|&(a, b)| !directed.contains(&(b, a))).collect();
-    for &(a, b) in &open {
+    let mut next = BTreeMap::new();
+    for &(a, b) in directed.iter().filter(|&&(a, b)| !directed.contains(&(b, a))) {
         // The lid runs against the endocardium's rim edge, so that the closed surface is oriented alike.
-        next.insert(b, a);
-    }
-    if next.len() != open.len() || open.is_empty() {
-        return Err(0);
+        if next.insert(b, a).is_some() {
+            return Err(MeshError::OpenEndocardium { tag, loop_count: 2, vertex: b });
+        }
     }
     let mut loops: Vec<Vec<usize>> = Vec::new();
     while let Some((&start, _)) = next.first_key_value() {
         let mut rim = vec![start];
         let mut vertex = next.remove(&start);
-        while let Some(v) = vertex {
-            if v == start {
-                break;
-            }
+        while let Some(v) = vertex.filter(|&v| v != start) {
             rim.push(v);
             vertex = next.remove(&v);
         }
         loops.push(rim);
     }
-    if loops.len() == 1 { Ok(loops.remove(0)) } else { Err(loops.len()) }
+    loops.sort_by_key(Vec::len);
+    match (loops.pop(), loops.first()) {
+        (Some(rim), None) => Ok(rim),
+        (None, _) => Err(MeshError::ClosedEndocardium { tag }),
+        (Some(_), Some(hole)) => Err(MeshError::OpenEndocardium { tag, loop_count: loops.len() + 1, vertex: hole[0] }),
+    }
 }
 
 #[cfg(test)]

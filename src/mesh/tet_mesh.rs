@@ -36,7 +36,8 @@ impl TetMesh {
             }
             let volume_mm3 = signed_volume(corners.map(|v| vertices_mm[v]));
             if volume_mm3.is_nan() || volume_mm3 <= 0.0 {
-                return Err(MeshError::InvertedTetrahedron { tetrahedron, volume_mm3 });
+                let centre_mm = corners.iter().map(|&v| vertices_mm[v]).sum::<Vector3<f64>>() / 4.0;
+                return Err(MeshError::InvertedTetrahedron { tetrahedron, volume_mm3, centre_mm });
             }
             let mut sorted = *corners;
             sorted.sort_unstable();
@@ -45,7 +46,7 @@ impl TetMesh {
             }
         }
         if let Some(vertex) = used.iter().position(|&is_used| !is_used) {
-            return Err(MeshError::UnreferencedVertex { vertex });
+            return Err(MeshError::UnreferencedVertex { vertex, position_mm: vertices_mm[vertex] });
         }
         let mesh = Self { vertices_mm, tetrahedra };
         mesh.check_triangles()?;
@@ -226,6 +227,6 @@ mod tests {
         assert_eq!(twice, MeshError::DuplicateTetrahedron { first: 0, second: 1 });
         vertices.push(Vector3::repeat(2.0));
         let unused = TetMesh::new(vertices, vec![[0, 1, 2, 3]]).unwrap_err();
-        assert_eq!(unused, MeshError::UnreferencedVertex { vertex: 4 });
+        assert!(matches!(unused, MeshError::UnreferencedVertex { vertex: 4, .. }), "{unused}");
     }
 }

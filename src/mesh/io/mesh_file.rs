@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use crate::mesh::{MeshError, SurfaceTag, TaggedSurface, TetMesh};
 
@@ -86,13 +86,40 @@ impl MeshFile {
         TetMesh::new(vertices_mm, tetrahedra)
     }
 
+    /// The field of the triangles that by its name tells the surfaces apart: our own, or Gmsh's physical groups.
+    pub fn surface_field(&self) -> &'static str {
+        let usual = ["surface_tag", "physical", "gmsh:physical"];
+        usual.into_iter().find(|name| self.triangle_fields.contains_key(*name)).unwrap_or(usual[0])
+    }
+
+    /// A field of directions, one a tetrahedron, from the tetrahedra's fields or else from the points'.
+    ///
+    /// # Errors
+    /// [`MeshError::MissingField`] if neither has such a field of three components.
+    pub fn directions(&self, name: &str) -> Result<Vec<Vector3<f64>>, MeshError> {
+        let field = |fields: &BTreeMap<String, FieldArray>| fields.get(name).and_then(FieldArray::vectors);
+        if let Some(directions) = field(&self.tetrahedron_fields) {
+            return Ok(directions);
+        }
+        let at_points = field(&self.point_fields).ok_or_else(|| {
+            let available = self.tetrahedron_fields.keys().chain(self.point_fields.keys()).cloned().collect();
+            MeshError::MissingField { subject: "tetrahedra and points", name: name.into(), components: 3, available }
+        })?;
+        let missing = |&vertex: &usize| at_points.get(vertex).copied().unwrap_or_else(Vector3::zeros);
+        Ok(self.tetrahedra.iter().map(|corners| mean_direction(corners.each_ref().map(missing))).collect())
+    }
+
     /// The tagged boundary of `mesh` from the file's triangles and the codes in their field `field`.
     ///
     /// # Errors
-    /// [`MeshError::MissingField`], [`MeshError::UnknownTag`] for a code that `codes` does not have, [`MeshError::UntaggedTriangle`] for a
+    /// [`MeshError::NoSurface`], [`MeshError::MissingField`], [`MeshError::UnknownTag`] for a code that `codes` does not have, [`MeshError::UntaggedTriangle`] for a
     /// boundary triangle that the file does not have.
     pub fn to_tagged_surface(&self, mesh: &TetMesh, field: &str, codes: &TagCodes) -> Result<TaggedSurface, MeshError> {
-        let missing = || MeshError::MissingField { name: field.into(), available: self.triangle_fields.keys().cloned().collect() };
+        if self.triangles.is_empty() {
+            return Err(MeshError::NoSurface);
+        }
+        let available = || self.triangle_fields.keys().cloned().collect();
+        let missing = || MeshError::MissingField { subject: "triangles", name: field.into(), components: 1, available: available() };
         let values = &self.triangle_fields.get(field).filter(|f| f.components == 1).ok_or_else(missing)?.values;
         let mut tag_of = HashMap::with_capacity(self.triangles.len());
         for (triangle, &value) in self.triangles.iter().zip(values) {
@@ -101,11 +128,21 @@ impl MeshFile {
         let tag = |triangle: [usize; 3]| {
             let centre_mm = triangle.iter().map(|&v| mesh.vertices_mm()[v]).sum::<Vector3<f64>>() / 3.0;
             let code = *tag_of.get(&sorted(triangle)).ok_or(MeshError::UntaggedTriangle { vertices: triangle, centre_mm })?;
-            codes.0.get(&code).copied().ok_or_else(|| MeshError::UnknownTag { code, known: codes.0.keys().copied().collect() })
+            codes.0.get(&code).copied().ok_or_else(|| MeshError::UnknownTag { code, known: codes.0.keys().copied().collect(), centre_mm })
         };
         let tags = mesh.boundary_triangles().into_iter().map(tag).collect::<Result<Vec<SurfaceTag>, MeshError>>()?;
         TaggedSurface::new(mesh, tags)
     }
+}
+
+/// The principal axis of $\sum v v^\top$: the mean of directions whose sign means nothing.
+fn mean_direction(directions: [Vector3<f64>; 4]) -> Vector3<f64> {
+    let spread: Matrix3<f64> = directions.iter().map(|v| v * v.transpose()).sum();
+    if !spread.iter().all(|s| s.is_finite()) {
+        return Vector3::zeros();
+    }
+    let eigen = spread.symmetric_eigen();
+    eigen.eigenvectors.column(eigen.eigenvalues.imax()) * eigen.eigenvalues.max().sqrt()
 }
 
 fn sorted(mut triangle: [usize; 3]) -> [usize; 3] {

@@ -1,9 +1,10 @@
-//! Mesh files: VTU out; VTU, legacy VTK and Gmsh in. The only place below the reports where mesh files are touched.
+//! Mesh files: VTU out; VTU, legacy VTK, Gmsh and plain tables in. The only place below the reports where mesh files are touched.
 
 mod encoding;
 mod gmsh_reader;
 mod legacy_vtk_reader;
 mod mesh_file;
+mod tables;
 mod vtu_reader;
 mod vtu_writer;
 mod xml;
@@ -14,6 +15,7 @@ use nalgebra::Vector3;
 
 use super::MeshError;
 pub use mesh_file::{FieldArray, MeshFile, Numbering, TagCodes};
+pub use tables::{TableFiles, read_mesh_tables};
 pub use vtu_writer::{NamedField, write_tagged_vtu, write_vtu};
 
 /// Values to be written, one entry a point or a cell.

@@ -93,30 +93,36 @@ pub struct FibrePlan {
 }
 
 pub(super) fn read(table: TableReader) -> AnatomyPlan {
-    let [lv, biventricle, mesh] = ["idealised_lv", "idealised_biventricle", "mesh"].map(|key| table.table(key));
+    let (lv, biventricle) = (table.table("idealised_lv"), table.table("idealised_biventricle"));
     let written = [
         ("labels", table.has("labels")),
+        ("mesh", table.has("mesh")),
+        ("mesh_tables", table.has("mesh_tables")),
         ("idealised_lv", lv.is_written()),
         ("idealised_biventricle", biventricle.is_written()),
-        ("mesh", mesh.is_written()),
     ];
     let mut sources = written.iter().filter(|(_, is_written)| *is_written).map(|(key, _)| *key);
     let first = sources.next();
     match (first, sources.next()) {
-        (None, _) => table
-            .missing("labels", "labels = \"…\" (a label map), [anatomy.mesh], [anatomy.idealised_lv] or [anatomy.idealised_biventricle]"),
+        (None, _) => table.missing(
+            "labels",
+            "labels = \"…\" (a label map), mesh = \"…\", [anatomy.mesh_tables], [anatomy.idealised_lv] or [anatomy.idealised_biventricle]",
+        ),
         (Some(one), Some(other)) => {
             table.problem(one, format!("stands beside {other}"), "the heart has one shape: take one of the two away")
         }
         _ => {}
     }
-    let (lv, (shape, reference_time_s), mesh) = (read_idealised(lv), read_biventricle(biventricle), mesh_file::read(mesh));
-    let source = match first {
-        Some("idealised_lv") => AnatomySource::IdealisedLv(lv),
-        Some("idealised_biventricle") => AnatomySource::IdealisedBiventricle { shape, reference_time_s },
-        Some("mesh") => AnatomySource::Mesh(mesh),
+    let (lv, (shape, reference_time_s), mesh) = (read_idealised(lv), read_biventricle(biventricle), mesh_file::read(&table));
+    let source = match (first, mesh) {
+        (Some("idealised_lv"), _) => AnatomySource::IdealisedLv(lv),
+        (Some("idealised_biventricle"), _) => AnatomySource::IdealisedBiventricle { shape, reference_time_s },
+        (Some("mesh" | "mesh_tables"), Some(mesh)) => AnatomySource::Mesh(mesh),
         _ => read_labels(&table),
     };
+    if matches!(source, AnatomySource::Mesh(_)) && table.has("edge_length_mm") {
+        table.problem("edge_length_mm", "is of no use with a mesh", "take it away: the mesh has its edges");
+    }
     let plan = AnatomyPlan {
         source,
         edge_length_mm: table.number("edge_length_mm", 0.5..=20.0, 5.0),

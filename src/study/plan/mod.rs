@@ -16,7 +16,7 @@ use std::path::PathBuf;
 pub use anatomy::{AnatomyPlan, AnatomySource, FibrePlan, IdealisedLv, LabelCodes};
 pub use beats::{Beats, BeatsPlan};
 pub use images::{ImageSource, ImagesPlan, ReferenceLabels};
-pub use mesh_file::{FibreSource, MeshPlan};
+pub use mesh_file::{LengthUnit, MeshPlan, MeshSource};
 pub use model::{ModelPlan, OnsetPlan, OnsetSite};
 pub use output::OutputPlan;
 pub use personalisation::{FreeParameter, PersonalisationPlan};
@@ -99,8 +99,10 @@ impl Plan {
     /// Every file that the study reads.
     pub fn input_files(&self) -> Vec<PathBuf> {
         let mut files = Vec::new();
-        if let AnatomySource::Labels { path, .. } | AnatomySource::Mesh(MeshPlan { path, .. }) = &self.anatomy.source {
-            files.push(path.clone());
+        match &self.anatomy.source {
+            AnatomySource::Labels { path, .. } => files.push(path.clone()),
+            AnatomySource::Mesh(mesh) => files.extend(mesh.source.files()),
+            AnatomySource::IdealisedLv(_) | AnatomySource::IdealisedBiventricle { .. } => {}
         }
         if let Some(ImageSource::Cine(images)) = &self.images {
             files.push(images.cine.clone());

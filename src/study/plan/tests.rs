@@ -100,15 +100,6 @@ fn the_heart_has_one_shape() {
 }
 
 #[test]
-fn a_mesh_names_its_file_and_gives_each_surface_its_code() {
-    let mesh = "kind = \"simulate\"\n[anatomy.mesh]\n";
-    assert!(problem(mesh, &[]).contains("anatomy.mesh.file is missing"));
-    assert!(problem(&format!("{mesh}file = \"heart.vtu\"\n"), &[]).contains("some/heart.vtu does not exist"));
-    let twice = plan(&format!("{mesh}file = \"heart.vtu\"\ncode_base = 30\n"), &[]).unwrap_err().to_string();
-    assert!(twice.contains("gives two surfaces the code 30"), "{twice}");
-}
-
-#[test]
 fn beats_are_counted_or_go_on_until_they_repeat() {
     assert_eq!(plan(SIMULATE, &[]).unwrap().simulation.beats, Beats::Count(1));
     assert_eq!(plan(SIMULATE, &["simulation.beats=3"]).unwrap().simulation.beats, Beats::Count(3));
@@ -166,6 +157,24 @@ fn contradictions_are_refused() {
     ];
     for (text, part) in cases {
         let error = plan(&text, &[]).unwrap_err().to_string();
+        assert!(error.contains(part), "`{part}` is missing in:\n{error}");
+    }
+}
+
+#[test]
+fn a_mesh_has_its_own_keys() {
+    assert!(problem(SIMULATE, &["anatomy.unit=m"]).contains("anatomy.unit = \"m\" is of no use without a mesh"));
+    let text = "kind = \"simulate\"\n[anatomy]\nmesh = \"study/plan/tests.rs\"\n";
+    let mesh = |settings: &[&str]| plan(&format!("data = \"{}/src\"\n{text}", env!("CARGO_MANIFEST_DIR")), settings);
+    let AnatomySource::Mesh(read) = mesh(&["anatomy.unit=cm", "anatomy.code_base=7"]).unwrap().anatomy.source else { panic!("no mesh") };
+    assert_eq!((read.unit.mm(), read.codes[0].0, read.fibre_field), (10.0, 7, None));
+    for (setting, part) in [
+        ("anatomy.unit=inch", "choose one of \"mm\", \"cm\", \"m\""),
+        ("anatomy.code_base=40", "gives two surfaces the code 40"),
+        ("anatomy.sheet_field=sheet", "stands without fibre_field"),
+        ("anatomy.edge_length_mm=3", "is of no use with a mesh"),
+    ] {
+        let error = mesh(&[setting]).unwrap_err().to_string();
         assert!(error.contains(part), "`{part}` is missing in:\n{error}");
     }
 }

@@ -1,5 +1,7 @@
 //! Why a run could not be completed: the room it failed in, in that room's own words.
 
+use std::path::PathBuf;
+
 use crate::anatomy::AnatomyError;
 use crate::heart::{HeartError, OutOfRange, StepError};
 use crate::image::ImageError;
@@ -25,6 +27,9 @@ pub enum RunError {
     /// A mesh.
     #[error(transparent)]
     Mesh(#[from] MeshError),
+    /// A mesh made elsewhere that is no heart.
+    #[error("mesh {path} cannot be used: {source}")]
+    UnusableMesh { path: PathBuf, source: AnatomyError },
     /// The synthetic patient.
     #[error("the phantom cannot be made: {0}")]
     Phantom(#[from] PhantomError),
