@@ -1,41 +1,19 @@
-//! What one time step costs: factorisation, the free step, the step with image stiffness, at two mesh sizes.
+//! What one time step costs: the free step beside the triangular solves it rests on, and steps with image stiffness.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout, reason = "criterion's macros, and a bench that fails loudly")]
 
 use std::hint::black_box;
 use std::sync::Arc;
 
-use cardiotwin::mechanics::{MotionState, Myocardium, PassiveProperties, StepOperator, StepSolver, StepSystem};
+use cardiotwin::heart::HeartModel;
+use cardiotwin::mechanics::{MotionState, Myocardium, StepOperator, StepSolver, StepSystem};
 use cardiotwin::mesh::{SurfaceTag, TaggedSurface};
 use cardiotwin::numerics::{CholeskyFactor, CholeskyWorkspace};
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Rotation3, Vector3};
 
-#[path = "../tests/meshes/mod.rs"]
-mod meshes;
+mod hearts;
 
-const PROPERTIES: PassiveProperties = PassiveProperties {
-    fibre_stiffness_kpa: 30.0,
-    transverse_stiffness_kpa: 20.0,
-    poisson_ratio: 0.4,
-    density_kg_per_mm3: 1.06e-6,
-    damping_mass_per_s: 10.0,
-    damping_stiffness_s: 0.01,
-    base_stiffness_normal_kpa_per_mm: 2.5,
-    base_stiffness_isotropic_kpa_per_mm: 2.5,
-    pericardium_stiffness_kpa_per_mm: 0.0,
-    pericardium_damping_kpa_s_per_mm: 0.005,
-};
-const STEP_S: f64 = 0.005;
 const GAIN_KPA_PER_MM: f64 = 1.0;
-
-/// A thick sphere of about 3,000, 10,000 or 15,000 vertices.
-fn heart_sized(edge: usize) -> (TaggedSurface, Arc<Myocardium>) {
-    let (mesh, surface) = meshes::sphere(edge, 4);
-    let axes: Vec<Matrix3<f64>> =
-        (0..mesh.tetrahedron_count()).map(|t| *Rotation3::from_euler_angles(0.1 * t as f64, 0.2, 0.3).matrix()).collect();
-    let tissue = Myocardium::new(&mesh, &surface, &axes, &PROPERTIES).unwrap();
-    (surface, Arc::new(tissue))
-}
 
 /// 2γ N_img N_imgᵀ/cos²β (variational) or 2γ N N_imgᵀ/(N·N_img) (exact) on every boundary vertex, image normals turning with time.
 fn load(surface: &TaggedSurface, tissue: &Myocardium, is_symmetric: bool, time_s: f64, system: &mut StepSystem) {
@@ -72,7 +50,7 @@ fn tracked_steps(surface: &TaggedSurface, operator: &StepOperator, is_symmetric:
     let (mut iterations, mut refactorisations) = (0, 0);
     for step in 0..step_count {
         operator.assemble(&state, None, &mut system).unwrap();
-        load(surface, tissue, is_symmetric, (step + 1) as f64 * STEP_S, &mut system);
+        load(surface, tissue, is_symmetric, (step + 1) as f64 * operator.step_s(), &mut system);
         responses.clone_from(&gradients(surface, tissue));
         let mut position = state.position_mm.clone();
         let report = solver.solve(operator, &system, &mut position, &mut responses).unwrap();
@@ -83,51 +61,64 @@ fn tracked_steps(surface: &TaggedSurface, operator: &StepOperator, is_symmetric:
     (iterations, refactorisations)
 }
 
-fn step(criterion: &mut Criterion) {
-    for edge in [10, 18, 22] {
-        let (surface, tissue) = heart_sized(edge);
-        let operator = StepOperator::new(Arc::clone(&tissue), STEP_S).unwrap();
-        let vertices = tissue.vertex_count();
-        println!("{vertices} vertices: {} entries of the factor", tissue.structure().stored_count());
-        let mut group = criterion.benchmark_group("step");
-        group.sample_size(10);
-        let mut workspace = CholeskyWorkspace::<f64>::default();
-        let mut factor = CholeskyFactor::new(Arc::clone(tissue.structure()), operator.matrix(), &mut workspace).unwrap();
-        group.bench_function(BenchmarkId::new("factorise", vertices), |bencher| {
-            bencher.iter(|| factor.refactorise(operator.matrix(), &mut workspace).unwrap());
-        });
-        let columns = vec![tissue.rest_mm().to_vec(); 3];
-        let mut solved = columns.clone();
-        group.bench_function(BenchmarkId::new("three_triangular_solves", vertices), |bencher| {
-            bencher.iter(|| {
-                solved.clone_from(&columns);
-                factor.solve_in_place(black_box(&mut solved), &mut workspace).unwrap();
-            });
-        });
-        let mut solver = StepSolver::default();
-        let mut system = operator.empty_system();
-        let mut state = MotionState::at_rest(tissue.rest_mm().to_vec());
-        let loads = gradients(&surface, &tissue);
-        let mut responses = loads.clone();
-        group.bench_function(BenchmarkId::new("free_step", vertices), |bencher| {
-            bencher.iter(|| {
-                operator.assemble(&state, None, &mut system).unwrap();
-                let mut position = state.position_mm.clone();
-                responses.clone_from(&loads);
-                solver.solve(&operator, &system, &mut position, &mut responses).unwrap();
-                state = operator.advance(&state, position);
-            });
-        });
-        for (name, is_symmetric) in [("ten_tracked_steps_symmetric", true), ("ten_tracked_steps_nonsymmetric", false)] {
-            let (iterations, refactorisations) = tracked_steps(&surface, &operator, is_symmetric, 10);
-            println!("{name}: {iterations} iterations, {refactorisations} factorisations");
-            group.bench_function(BenchmarkId::new(name, vertices), |bencher| {
-                bencher.iter(|| tracked_steps(&surface, &operator, is_symmetric, 10));
-            });
-        }
-        group.finish();
-    }
+/// The whole free step beside the triangular solves of as many right-hand sides (goal: at most 1.3 times them), and the step of a left
+/// ventricle with its valves, which has two.
+fn print_free_step(surface: &TaggedSurface, operator: &StepOperator, model: &HeartModel) {
+    let tissue = operator.myocardium();
+    let mut memory = CholeskyWorkspace::<f64>::default();
+    let factor = CholeskyFactor::new(Arc::clone(tissue.structure()), operator.matrix(), &mut memory).unwrap();
+    let loads = gradients(surface, tissue);
+    let mut columns = [vec![tissue.rest_mm().to_vec()], loads.clone()].concat();
+    let stress_kpa = vec![30.0; tissue.tetrahedron_count()];
+    let (mut solver, mut system, mut responses) = (StepSolver::default(), operator.empty_system(), loads.clone());
+    let mut state = MotionState::at_rest(tissue.rest_mm().to_vec());
+    let (still, mut other) = (state.clone(), operator.empty_system());
+    let (mut workspace, mut heart) = (model.workspace(), model.initial_state(0.0));
+    let solves = move || factor.solve_in_place(black_box(&mut columns), &mut memory).unwrap();
+    let free = move || {
+        operator.assemble(&state, None, &mut system).unwrap();
+        tissue.add_contraction_force(&stress_kpa, &mut system.force_mn).unwrap();
+        let mut position = state.position_mm.clone();
+        responses.clone_from(&loads);
+        solver.solve(operator, &system, &mut position, &mut responses).unwrap();
+        state = operator.advance(&state, position);
+    };
+    let assembly = move || operator.assemble(&still, None, black_box(&mut other)).unwrap();
+    let ventricle = move || heart = model.step(&heart, &[], &mut workspace).unwrap().state;
+    hearts::print_in_turn(
+        &format!("{} vertices", tissue.vertex_count()),
+        15,
+        vec![
+            ("three triangular solves", Box::new(solves)),
+            ("free step, three solves", Box::new(free)),
+            ("its right-hand side", Box::new(assembly)),
+            ("left ventricle, two solves", Box::new(ventricle)),
+        ],
+    );
 }
 
-criterion_group!(benches, step);
+fn step(criterion: &mut Criterion<hearts::ProcessorTime>) {
+    let mut group = criterion.benchmark_group("step");
+    for (_, edge_length_mm) in &hearts::SIZES[..2] {
+        let anatomy = hearts::left_ventricle(*edge_length_mm);
+        let (surface, operator) = (&anatomy.surface, hearts::step_operator(&anatomy));
+        let model = hearts::heart(*edge_length_mm);
+        print_free_step(surface, &operator, &model);
+        let (mut workspace, mut state) = (model.workspace(), model.initial_state(0.0));
+        let vertices = anatomy.mesh.vertex_count();
+        group.bench_function(BenchmarkId::new("left_ventricle", vertices), |bencher| {
+            bencher.iter(|| state = model.step(&state, &[], &mut workspace).unwrap().state);
+        });
+        for (name, is_symmetric) in [("ten_tracked_steps_symmetric", true), ("ten_tracked_steps_nonsymmetric", false)] {
+            let (iterations, refactorisations) = tracked_steps(surface, &operator, is_symmetric, 10);
+            println!("{name}: {iterations} iterations, {refactorisations} factorisations");
+            group.bench_function(BenchmarkId::new(name, vertices), |bencher| {
+                bencher.iter(|| tracked_steps(surface, &operator, is_symmetric, 10));
+            });
+        }
+    }
+    group.finish();
+}
+
+criterion_group! { name = benches; config = hearts::criterion(); targets = step }
 criterion_main!(benches);
