@@ -104,6 +104,13 @@ impl StepMatrix<'_> {
             *y += block * x;
         }
     }
+
+    /// Writes F − A x and gives its norm.
+    fn subtract(&self, force_mn: &[Vector3<f64>], x: &[Vector3<f64>], residual_mn: &mut [Vector3<f64>]) -> f64 {
+        self.multiply(x, residual_mn);
+        residual_mn.iter_mut().zip(force_mn).for_each(|(residual, force)| *residual = force - *residual);
+        norm(residual_mn)
+    }
 }
 
 /// The last responses: where the next ones start from.
@@ -143,8 +150,12 @@ impl StepSolver {
         check_responses(count, responses)?;
         let mut columns = self.take_columns(responses);
         columns[0].resize(count, Vector3::zeros());
-        let reference_norm = self.subtract_position(operator, system, position_mm, &mut columns[0]);
         let matrix = StepMatrix { operator, matrix: operator.matrix(), stiffness_mn_per_mm: stiffness };
+        // A direct solve has no tolerance that refers to a norm.
+        let reference_norm =
+            if matrix.is_constant() { 0.0 } else { matrix.subtract(&system.force_mn, operator.myocardium().rest_mm(), &mut columns[0]) };
+        // The correction of the guess is solved for, so that coordinates far from the origin cost no digits.
+        matrix.subtract(&system.force_mn, position_mm, &mut columns[0]);
         let tolerance = self.settings.relative_tolerance;
         let report = self.solve_columns(matrix, &mut columns[..=responses.len()], Some(reference_norm), tolerance);
         for (position, correction) in position_mm.iter_mut().zip(&columns[0]) {
@@ -206,26 +217,6 @@ impl StepSolver {
             preconditioner.served(report.iteration_count);
         }
         Ok(report)
-    }
-
-    /// The correction of the guess is solved for, so that coordinates far from the origin cost no digits: writes F − A y and gives
-    /// ‖F − A x‖ at rest.
-    fn subtract_position(
-        &mut self,
-        operator: &StepOperator,
-        system: &StepSystem,
-        position_mm: &[Vector3<f64>],
-        residual: &mut [Vector3<f64>],
-    ) -> f64 {
-        let mut defect = |position_mm: &[Vector3<f64>]| {
-            let matrix = StepMatrix { operator, matrix: operator.matrix(), stiffness_mn_per_mm: &system.stiffness_mn_per_mm };
-            matrix.multiply(position_mm, residual);
-            residual.iter_mut().zip(&system.force_mn).for_each(|(residual, force)| *residual = force - *residual);
-            norm(residual)
-        };
-        let at_rest = defect(operator.myocardium().rest_mm());
-        defect(position_mm);
-        at_rest
     }
 
     /// Copies the responses behind a first, free column.
