@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use cardiotwin::anatomy::mesher::{MesherSettings, WallShape, mesh_inside, mesh_wall};
-use cardiotwin::anatomy::{AnatomySettings, FibreRule, Region, Ventricle, build_lv_from_fields, complete_anatomy};
+use cardiotwin::anatomy::{AnatomySettings, FibreRule, IdealisedBiventricle, Region, Ventricle, build_lv_from_fields, complete_anatomy};
 use cardiotwin::image::{FieldOptions, VentricleCodes, read_label_map, ventricle_fields};
 use cardiotwin::mesh::io::{Numbering, TableFiles, TagCodes, read_mesh_tables};
 use cardiotwin::mesh::{Cavity, MeshError, MeshQuality, SurfaceTag, TaggedSurface, TetMesh};
@@ -106,6 +106,76 @@ fn random_ventricles_are_manifold_tagged_and_well_shaped() {
         assert!(quality.dihedral_least_deg > if elements > 1.5 { 20.0 } else { 2.0 }, "seed {seed}, {elements}: {quality:?}");
     }
     assert!(least_deg > 2.0, "{least_deg}");
+}
+
+/// Blood and wall of the idealised biventricle by midpoint sums over slices and rows, in each row of which the ellipsoids are intervals.
+fn biventricle_volumes_mm3(heart: &IdealisedBiventricle) -> [f64; 3] {
+    let interval = |centre: f64, [a, b, c]: [f64; 3], y: f64, z: f64| {
+        let half = a * (1.0 - (y / b).powi(2) - (z / c).powi(2)).max(0.0).sqrt();
+        [centre - half, centre + half]
+    };
+    let length = |[low, high]: [f64; 2]| (high - low).max(0.0);
+    let overlap = |[a, b]: [f64; 2], [c, d]: [f64; 2]| length([a.max(c), b.min(d)]);
+    let step_mm = 0.2;
+    let mut volumes_mm3 = [0.0; 3];
+    let rows = |low: f64, high: f64| {
+        let count = ((high - low) / step_mm).round();
+        (0..count as usize).map(move |i| low + (high - low) * (i as f64 + 0.5) / count)
+    };
+    for z in rows(-70.0, heart.base_height_mm) {
+        for y in rows(-45.0, 45.0) {
+            let (r, l, w) = (heart.lv_radius_mm, heart.lv_length_mm, heart.lv_wall_mm);
+            let left = interval(0.0, [r, r, l], y, z);
+            let left_outside = interval(0.0, [r + w, r + w, l + w], y, z);
+            let radii = [heart.rv_width_mm, heart.rv_depth_mm, heart.rv_length_mm];
+            let right = interval(heart.rv_offset_mm, radii, y, z);
+            let right_outside = interval(heart.rv_offset_mm, radii.map(|radius| radius + heart.rv_wall_mm), y, z);
+            let right_blood = length(right) - overlap(right, left_outside);
+            let heart_and_blood = length(left_outside) + length(right_outside) - overlap(left_outside, right_outside);
+            for (volume, row) in volumes_mm3.iter_mut().zip([length(left), right_blood, heart_and_blood - length(left) - right_blood]) {
+                *volume += row * step_mm * step_mm;
+            }
+        }
+    }
+    volumes_mm3
+}
+
+#[test]
+fn volumes_of_the_idealised_biventricle_converge_at_second_order() {
+    // Hardly rounded, the ventricles are ellipsoids throughout.
+    let heart = IdealisedBiventricle { rounding_mm: 0.5, ..IdealisedBiventricle::default() };
+    let exact = biventricle_volumes_mm3(&heart);
+    let t: f64 = heart.base_height_mm / heart.lv_length_mm;
+    let closed_form = std::f64::consts::PI * heart.lv_radius_mm.powi(2) * heart.lv_length_mm * (2.0 / 3.0 + t - t.powi(3) / 3.0);
+    assert!((exact[0] / closed_form - 1.0).abs() < 1e-4, "{exact:?} {closed_form}");
+    let errors = [8.0, 4.0].map(|edge_length_mm| {
+        let anatomy = heart.build(&MesherSettings::with_edge_length_mm(edge_length_mm), &AnatomySettings::default()).unwrap();
+        let blood = |i: usize| anatomy.cavities[i].1.volume_mm3(anatomy.mesh.vertices_mm());
+        let found = [blood(0), blood(1), anatomy.mesh.total_volume_mm3()];
+        [0, 1, 2].map(|i| (found[i] / exact[i] - 1.0).abs())
+    });
+    assert!(errors[0].iter().all(|error| *error < 0.06) && errors[1].iter().all(|error| *error < 0.015), "{errors:?}");
+    assert!((0..3).all(|i| errors[1][i] < errors[0][i] / 3.0), "{errors:?}");
+}
+
+/// A right-ventricular wall of 3 mm, in tetrahedra up to four times as long, wherever the heart lies: never perforated, pinched or inverted.
+#[test]
+fn thin_right_ventricles_are_meshed_at_any_edge_length() {
+    let mut least_deg = f64::INFINITY;
+    for (edge_length_mm, long_axis) in [
+        (12.0, Vector3::z()),
+        (10.0, Vector3::new(0.6, -0.6, 0.5)),
+        (8.0, Vector3::z()),
+        (6.5, Vector3::new(-0.3, 0.2, 1.0)),
+        (5.0, Vector3::z()),
+    ] {
+        let heart = IdealisedBiventricle { long_axis, ..IdealisedBiventricle::default() };
+        let anatomy = heart.build(&MesherSettings::with_edge_length_mm(edge_length_mm), &AnatomySettings::default()).unwrap();
+        let quality = MeshQuality::of(&anatomy.mesh);
+        assert!(quality.dihedral_percentile_1_deg > 11.0 && quality.dihedral_greatest_deg < 172.0, "{edge_length_mm} mm: {quality:?}");
+        least_deg = least_deg.min(quality.dihedral_least_deg);
+    }
+    assert!(least_deg > 8.0, "{least_deg}");
 }
 
 /// Labels of 1.4 × 1.4 × 10 mm. A cavity of 246 mL and a wall of 136 mL by counting voxels; the mesh must hold them within 2 %.

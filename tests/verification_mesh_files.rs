@@ -7,11 +7,12 @@
 
 use std::path::{Path, PathBuf};
 
-use cardiotwin::mesh::io::{FieldValues, MeshFile, Numbering, TagCodes, read_mesh_file, write_tagged_vtu};
+use cardiotwin::mesh::io::{FieldValues, MeshFile, Numbering, TagCodes, read_mesh_file, write_mesh_file};
 use cardiotwin::mesh::{MeshError, SurfaceTag, TaggedSurface, TetMesh};
 use nalgebra::Vector3;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use proptest::collection::vec;
+use proptest::prelude::*;
+use proptest::sample::Index;
 
 fn fixtures() -> Vec<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/mesh_files");
@@ -53,34 +54,30 @@ fn read_bytes(folder: &Path, ending: &str, bytes: &[u8]) -> Result<MeshFile, Mes
     read_mesh_file(&path)
 }
 
-/// A file that is cut short is refused, unless nothing but fields behind the cells is missing; damage may go unnoticed, but does not panic.
-#[test]
-fn damaged_files_are_refused_or_survived() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut random = ChaCha8Rng::seed_from_u64(7);
-    for path in fixtures() {
-        let bytes = std::fs::read(&path).unwrap();
-        let whole = read_mesh_file(&path).unwrap();
+proptest! {
+    /// A file that is cut short is refused, unless nothing but fields behind the cells is missing; damage may go unnoticed, but does not
+    /// panic.
+    #[test]
+    fn damaged_files_are_refused_or_survived(which in any::<Index>(), cut in any::<Index>(), bytes_changed in vec(any::<(Index, u8)>(), 1..5)) {
+        let folder = tempfile::tempdir().unwrap();
+        let fixtures = fixtures();
+        let path = which.get(&fixtures);
+        let (mut bytes, whole) = (std::fs::read(path).unwrap(), read_mesh_file(path).unwrap());
         let ending = path.extension().unwrap().to_str().unwrap();
-        for _ in 0..60 {
-            let length = random.random_range(0..bytes.len());
-            match read_bytes(folder.path(), ending, &bytes[..length]) {
-                Ok(cut) => assert!(
-                    cut.points == whole.points && cut.tetrahedra == whole.tetrahedra && cut.triangles == whole.triangles,
-                    "{path:?} at {length}"
-                ),
-                Err(error) => assert!(error.to_string().contains("damaged"), "{error}"),
+        match read_bytes(folder.path(), ending, &bytes[..cut.index(bytes.len())]) {
+            Ok(cut) => prop_assert!(cut.points == whole.points && cut.tetrahedra == whole.tetrahedra && cut.triangles == whole.triangles),
+            Err(error) => prop_assert!(error.to_string().contains("damaged"), "{}", error),
+        }
+        for (place, byte) in bytes_changed {
+            let place = place.index(bytes.len());
+            bytes[place] = byte;
+        }
+        if let Ok(file) = read_bytes(folder.path(), ending, &bytes) {
+            for numbering in [Numbering::Oriented, Numbering::Free] {
+                let mesh = file.to_tet_mesh(1.0, numbering);
+                let _ = mesh.and_then(|mesh| file.to_tagged_surface(&mesh, file.surface_field(), &TagCodes::default()));
             }
-            let mut damaged = bytes.clone();
-            for _ in 0..random.random_range(1..4) {
-                let place = random.random_range(0..damaged.len());
-                damaged[place] = random.random();
-            }
-            if let Ok(file) = read_bytes(folder.path(), ending, &damaged) {
-                let _ = file
-                    .to_tet_mesh(1.0, Numbering::Oriented)
-                    .and_then(|mesh| file.to_tagged_surface(&mesh, "surface_tag", &TagCodes::default()));
-            }
+            let _ = file.directions("fibre");
         }
     }
 }
@@ -118,22 +115,24 @@ fn block(n: usize) -> (TetMesh, TaggedSurface) {
 #[test]
 fn what_is_written_is_read_back_bit_by_bit() {
     let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("block.vtu");
     let (mesh, surface) = block(12);
     let scalars: Vec<f64> = (0..mesh.vertex_count()).map(|v| (v as f64).sin() * 1e-7).collect();
     let vectors: Vec<Vector3<f64>> = (0..mesh.tetrahedron_count()).map(|t| Vector3::new((t as f64).sqrt(), -1.0, 1.0 / 3.0)).collect();
     let labels: Vec<i32> = (0..mesh.tetrahedron_count()).map(|t| t as i32 % 17 - 3).collect();
-    let point_fields = [("a <odd> & \"quoted\" name", FieldValues::Scalars(&scalars))];
-    let cell_fields = [("fibre", FieldValues::Vectors(&vectors)), ("segment", FieldValues::Labels(&labels))];
-    write_tagged_vtu(&path, &mesh, &surface, &point_fields, &cell_fields).unwrap();
-    let file = read_mesh_file(&path).unwrap();
-    let again = file.to_tet_mesh(1.0, Numbering::Oriented).unwrap();
-    assert_eq!(again, mesh);
-    assert_eq!(file.to_tagged_surface(&again, "surface_tag", &TagCodes::default()).unwrap(), surface);
-    assert_eq!(file.point_fields["a <odd> & \"quoted\" name"].values, scalars);
-    assert_eq!(file.tetrahedron_fields["fibre"].vectors().unwrap(), vectors);
-    assert!(file.tetrahedron_fields["segment"].values.iter().zip(&labels).all(|(read, &written)| *read == f64::from(written)));
-    assert!(!path.with_extension("vtu.partial").exists());
+    for (ending, name) in [("vtu", "a <odd> & \"quoted\" name"), ("vtk", "a name of 5 words"), ("msh", "a $name of 5 words")] {
+        let path = folder.path().join("block").with_extension(ending);
+        let point_fields = [(name, FieldValues::Scalars(&scalars))];
+        let cell_fields = [("fibre", FieldValues::Vectors(&vectors)), ("segment", FieldValues::Labels(&labels))];
+        write_mesh_file(&path, &mesh, &surface, &point_fields, &cell_fields).unwrap();
+        let file = read_mesh_file(&path).unwrap();
+        let again = file.to_tet_mesh(1.0, Numbering::Oriented).unwrap();
+        assert!(again == mesh, "{ending}");
+        assert!(file.to_tagged_surface(&again, file.surface_field(), &TagCodes::default()).unwrap() == surface, "{ending}");
+        assert_eq!(file.point_fields[name].values, scalars);
+        assert_eq!(file.directions("fibre").unwrap(), vectors);
+        assert!(file.tetrahedron_fields["segment"].values.iter().zip(&labels).all(|(read, &written)| *read == f64::from(written)));
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().filter(|e| e.as_ref().unwrap().path().ends_with("partial")).count(), 0);
+    }
 }
 
 #[test]
@@ -142,12 +141,12 @@ fn what_is_wrong_is_named() {
     let short = [0.0; 3];
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("x.vtu");
-    let error = write_tagged_vtu(&path, &mesh, &surface, &[("depth", FieldValues::Scalars(&short))], &[]).unwrap_err();
+    let error = write_mesh_file(&path, &mesh, &surface, &[("depth", FieldValues::Scalars(&short))], &[]).unwrap_err();
     assert!(matches!(&error, MeshError::FieldLength { length: 3, expected: 216, .. }), "{error}");
     let unwritable = folder.path().join("no/such/folder.vtu");
-    assert!(matches!(write_tagged_vtu(&unwritable, &mesh, &surface, &[], &[]), Err(MeshError::Unwritable { .. })));
+    assert!(matches!(write_mesh_file(&unwritable, &mesh, &surface, &[], &[]), Err(MeshError::Unwritable { .. })));
     assert!(matches!(read_mesh_file(&path), Err(MeshError::Unreadable { .. })));
-    write_tagged_vtu(&path, &mesh, &surface, &[], &[]).unwrap();
+    write_mesh_file(&path, &mesh, &surface, &[], &[]).unwrap();
     let mut file = read_mesh_file(&path).unwrap();
     let metres = file.to_tet_mesh(1e-3, Numbering::Oriented).unwrap_err();
     assert!(matches!(metres, MeshError::ImplausibleSize { .. }), "{metres}");

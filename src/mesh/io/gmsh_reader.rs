@@ -1,4 +1,4 @@
-//! Reads Gmsh meshes (.msh), versions 2.2 and 4.1 in text; physical groups become the cell field `physical`.
+//! Reads Gmsh meshes (.msh), versions 2.2 and 4.1 in text; physical groups become the cell field `physical`, node and element data fields.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -32,6 +32,8 @@ pub(super) fn read_gmsh(bytes: &[u8]) -> Result<MeshFile, String> {
             ("Elements", true) => content.read_elements_4(&mut numbers)?,
             ("Elements", false) => content.read_elements_2(&mut numbers)?,
             ("Entities", true) => content.read_entities(&mut numbers)?,
+            ("NodeData", _) => content.node_data.push(read_data(&after[..end], name)?),
+            ("ElementData", _) => content.element_data.push(read_data(&after[..end], name)?),
             _ => {}
         }
         rest = &after[end + end_mark.len()..];
@@ -62,8 +64,68 @@ struct Content {
     point_of_node: HashMap<u64, usize>,
     /// First physical group of each entity, by dimension and number.
     group_of_entity: HashMap<(usize, i64), i64>,
-    /// Element type, physical group, nodes.
-    elements: Vec<(u32, i64, Vec<u64>)>,
+    elements: Vec<Element>,
+    node_data: Vec<Data>,
+    element_data: Vec<Data>,
+}
+
+struct Element {
+    number: u64,
+    kind: u32,
+    group: i64,
+    nodes: Vec<u64>,
+}
+
+/// A field: values of nodes or elements by their numbers.
+struct Data {
+    name: String,
+    components: usize,
+    rows: Vec<(u64, Vec<f64>)>,
+}
+
+impl Data {
+    /// One entry for each of `count` things, zero where the file has none.
+    fn field(&self, count: usize, place_of: &HashMap<u64, usize>) -> FieldArray {
+        let mut values = vec![0.0; count * self.components];
+        for (number, row) in &self.rows {
+            if let Some(place) = place_of.get(number) {
+                values[place * self.components..][..self.components].copy_from_slice(row);
+            }
+        }
+        FieldArray { components: self.components, values }
+    }
+}
+
+/// A section of node or element data: its words (the first is the name), real numbers (times), integers (step, components, rows), rows.
+fn read_data(section: &str, name: &str) -> Result<Data, String> {
+    let mut lines = section.trim_start().splitn(3, '\n');
+    if lines.next().map(str::trim) != Some("1") {
+        return Err(format!("section ${name} does not have one name"));
+    }
+    let field_name = lines.next().unwrap_or("").trim().trim_matches('"').to_string();
+    let mut numbers = Numbers { words: lines.next().unwrap_or("").split_ascii_whitespace(), section: name };
+    let real_count = numbers.next()?;
+    numbers.skip(real_count)?;
+    let integer_count: usize = numbers.next()?;
+    if integer_count < 3 {
+        return Err(format!("section ${name} does not say how many components and rows it has"));
+    }
+    numbers.skip(1)?;
+    let (components, row_count): (usize, u64) = (numbers.next()?, numbers.next()?);
+    numbers.skip(integer_count - 3)?;
+    if !(1..=9).contains(&components) {
+        return Err(format!("section ${name} has {components} components"));
+    }
+    let mut rows = vec![];
+    for _ in 0..row_count {
+        let number = numbers.next()?;
+        let mut row = vec![];
+        for _ in 0..components {
+            row.push(numbers.next()?);
+        }
+        rows.push((number, row));
+    }
+    Ok(Data { name: field_name, components, rows })
 }
 
 /// Nodes of Gmsh's element types that may occur, and their VTK type.
@@ -115,12 +177,12 @@ impl Content {
 
     fn read_elements_2(&mut self, numbers: &mut Numbers) -> Result<(), String> {
         for _ in 0..numbers.next::<u64>()? {
-            numbers.skip(1)?;
+            let number = numbers.next()?;
             let kind: u32 = numbers.next()?;
             let tag_count: usize = numbers.next()?;
             let group = if tag_count > 0 { numbers.next()? } else { 0 };
             numbers.skip(tag_count.saturating_sub(1))?;
-            self.add_element(kind, group, numbers)?;
+            self.add_element(number, kind, group, numbers)?;
         }
         Ok(())
     }
@@ -135,19 +197,19 @@ impl Content {
             let element_count: u64 = numbers.next()?;
             let group = self.group_of_entity.get(&(dimension, entity)).copied().unwrap_or(0);
             for _ in 0..element_count {
-                numbers.skip(1)?;
-                self.add_element(kind, group, numbers)?;
+                let number = numbers.next()?;
+                self.add_element(number, kind, group, numbers)?;
             }
         }
         Ok(())
     }
 
-    fn add_element(&mut self, kind: u32, group: i64, numbers: &mut Numbers) -> Result<(), String> {
+    fn add_element(&mut self, number: u64, kind: u32, group: i64, numbers: &mut Numbers) -> Result<(), String> {
         let mut nodes = vec![];
         for _ in 0..element_kind(kind)?.0 {
             nodes.push(numbers.next()?);
         }
-        self.elements.push((kind, group, nodes));
+        self.elements.push(Element { number, kind, group, nodes });
         Ok(())
     }
 
@@ -179,14 +241,19 @@ impl Content {
     fn finish(self) -> Result<MeshFile, String> {
         let mut sorter = CellSorter::default();
         let mut groups = vec![];
-        for (kind, group, nodes) in &self.elements {
+        for Element { kind, group, nodes, .. } in &self.elements {
             let point =
                 |node: &u64| self.point_of_node.get(node).copied().ok_or_else(|| format!("an element names node {node}, which is missing"));
             let corners = nodes.iter().map(point).collect::<Result<Vec<usize>, String>>()?;
             sorter.add(element_kind(*kind)?.1, &corners)?;
             groups.push(*group as f64);
         }
-        let physical = FieldArray { components: 1, values: groups };
-        Ok(sorter.finish(self.points, BTreeMap::new(), &BTreeMap::from([("physical".to_string(), physical)])))
+        let place_of_element = self.elements.iter().enumerate().map(|(place, element)| (element.number, place)).collect();
+        let field = |data: &Data| (data.name.clone(), data.field(self.elements.len(), &place_of_element));
+        let mut cell_fields: BTreeMap<String, FieldArray> = self.element_data.iter().map(field).collect();
+        cell_fields.insert("physical".into(), FieldArray { components: 1, values: groups });
+        let at_points = |data: &Data| (data.name.clone(), data.field(self.points.len(), &self.point_of_node));
+        let point_fields = self.node_data.iter().map(at_points).collect();
+        Ok(sorter.finish(self.points, point_fields, &cell_fields))
     }
 }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 
 use super::encoding::NumberKind;
+use super::legacy_vtk_writer::BLANK;
 use super::mesh_file::{CellSorter, FieldArray, MeshFile};
 
 /// The content of a legacy VTK file, versions 1 to 5.1.
@@ -195,7 +196,7 @@ impl Content {
     fn keep(&mut self, name: String, components: usize, text: &mut Scanner, kind: &str) -> Result<(), String> {
         let (subject, entries) = self.subject;
         let values = text.numbers(kind, entries.saturating_mul(components))?;
-        self.fields[subject].insert(name, FieldArray { components, values });
+        self.fields[subject].insert(name.replace(BLANK, " "), FieldArray { components, values });
         Ok(())
     }
 
@@ -216,7 +217,7 @@ impl Content {
             }
             let values = text.numbers(kind, entries.saturating_mul(components))?;
             if entries == self.subject.1 {
-                self.fields[self.subject.0].insert(name.to_string(), FieldArray { components, values });
+                self.fields[self.subject.0].insert(name.replace(BLANK, " "), FieldArray { components, values });
             }
         }
         Ok(())

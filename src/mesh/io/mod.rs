@@ -1,8 +1,10 @@
-//! Mesh files: VTU out; VTU, legacy VTK, Gmsh and plain tables in. The only place below the reports where mesh files are touched.
+//! Mesh files: VTU, legacy VTK and Gmsh in and out, plain tables in. The only place below the reports where mesh files are touched.
 
 mod encoding;
 mod gmsh_reader;
+mod gmsh_writer;
 mod legacy_vtk_reader;
+mod legacy_vtk_writer;
 mod mesh_file;
 mod tables;
 mod vtu_reader;
@@ -16,7 +18,7 @@ use nalgebra::Vector3;
 use super::MeshError;
 pub use mesh_file::{FieldArray, MeshFile, Numbering, TagCodes};
 pub use tables::{TableFiles, read_mesh_tables};
-pub use vtu_writer::{NamedField, write_tagged_vtu, write_vtu};
+pub use vtu_writer::{NamedField, write_mesh_file, write_vtu};
 
 /// Values to be written, one entry a point or a cell.
 #[derive(Debug, Clone, Copy)]

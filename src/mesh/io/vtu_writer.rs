@@ -8,6 +8,8 @@ use nalgebra::Vector3;
 
 use super::FieldValues;
 use super::encoding::encode_compressed;
+use super::gmsh_writer::gmsh_document;
+use super::legacy_vtk_writer::legacy_vtk_document;
 use crate::mesh::{MeshError, SurfaceTag, TaggedSurface, TetMesh};
 
 /// VTK's numbers of the cell types.
@@ -34,26 +36,49 @@ pub fn write_vtu(
     write_whole(path, document.as_bytes())
 }
 
-/// Writes a mesh at rest with its tagged surface, to be read again: the boundary triangles follow the tetrahedra as cells, and the cell
-/// field `surface_tag` holds 0 for tetrahedra and [`SurfaceTag::code`] for triangles. Other cell fields are filled up with zeros.
+/// Writes a mesh at rest with its tagged surface, to be read again, in the format that the ending of the name asks for: `.vtu`, `.vtk`
+/// (legacy, binary) or `.msh` (Gmsh 2.2, text).
+///
+/// The boundary triangles follow the tetrahedra as cells. In VTK's formats the cell field `surface_tag` holds 0 for tetrahedra and
+/// [`SurfaceTag::code`] for triangles, and other cell fields (one entry a tetrahedron) are filled up with zeros; in Gmsh's the codes are
+/// physical groups. The file appears whole or not at all.
 ///
 /// # Errors
-/// As [`write_vtu`].
-pub fn write_tagged_vtu(
+/// [`MeshError::FieldLength`] if a field has the wrong number of entries, [`MeshError::Unwritable`] if the file cannot be written or the
+/// ending is another.
+pub fn write_mesh_file(
     path: &Path,
     mesh: &TetMesh,
     surface: &TaggedSurface,
     point_fields: &[NamedField],
     cell_fields: &[NamedField],
 ) -> Result<(), MeshError> {
+    for (fields, expected) in [(point_fields, mesh.vertex_count()), (cell_fields, mesh.tetrahedron_count())] {
+        if let Some((name, values)) = fields.iter().find(|(_, values)| values.len() != expected) {
+            return Err(MeshError::FieldLength { name: name.to_string(), length: values.len(), expected });
+        }
+    }
+    let unwritable = |reason: &str| MeshError::Unwritable { path: path.into(), reason: reason.into() };
+    let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or("").to_ascii_lowercase();
+    if ending == "msh" {
+        let text = gmsh_document(mesh, surface, point_fields, cell_fields).map_err(|error| unwritable(&error.to_string()))?;
+        return write_whole(path, text.as_bytes());
+    }
     let tags: Vec<i32> =
         std::iter::repeat_n(0, mesh.tetrahedron_count()).chain(surface.tags().iter().copied().map(SurfaceTag::code)).collect();
     let triangles = surface.triangles();
     let padded: Vec<(&str, Padded)> = cell_fields.iter().map(|&(name, values)| (name, Padded::new(values, triangles.len()))).collect();
     let mut fields: Vec<NamedField> = padded.iter().map(|(name, values)| (*name, values.as_field())).collect();
     fields.push(("surface_tag", FieldValues::Labels(&tags)));
-    let document = document(mesh, triangles, mesh.vertices_mm(), point_fields, &fields)?;
-    write_whole(path, document.as_bytes())
+    match ending.as_str() {
+        "vtu" => write_whole(path, document(mesh, triangles, mesh.vertices_mm(), point_fields, &fields)?.as_bytes()),
+        "vtk" => {
+            let tetrahedra = mesh.tetrahedra().iter().map(|corners| (VTK_TETRAHEDRON, &corners[..]));
+            let cells: Vec<(u8, &[usize])> = tetrahedra.chain(triangles.iter().map(|corners| (VTK_TRIANGLE, &corners[..]))).collect();
+            write_whole(path, &legacy_vtk_document(mesh.vertices_mm(), &cells, point_fields, &fields))
+        }
+        _ => Err(unwritable("the ending of its name is not .vtu, .vtk or .msh")),
+    }
 }
 
 /// A cell field with zeros for the triangles.
