@@ -51,6 +51,12 @@ pub enum StepError {
          valves let through; use a smaller step, or a lower contraction or stiffer wall"
     )]
     VolumeNotMet { time_s: f64, step_s: f64, round_count: usize, volume_defect_ml: f64 },
+    /// Newton's method came to a halt.
+    #[error(
+        "at {time_s:.4} s (step {step_s} s): the forces are left with a residual of {residual_mn:.2e} mN, {tolerance_mn:.2e} mN are allowed \
+         (volume defect {volume_defect_ml:.2e} mL); use a smaller step, or a lower contraction or stiffer wall"
+    )]
+    NotConverged { time_s: f64, step_s: f64, residual_mn: f64, tolerance_mn: f64, volume_defect_ml: f64 },
     /// Something is no longer a number, or a vertex has left for infinity.
     #[error(
         "at {time_s:.4} s (step {step_s} s): vertex {vertex} is {distance_mm:.3e} mm from where it rested; the motion has blown up: use a \

@@ -4,11 +4,14 @@ mod base_motion;
 mod beat_deformation;
 #[cfg(test)]
 mod beat_tests;
+#[cfg(test)]
+mod corotational_tests;
 mod deformation;
 mod error;
 #[cfg(test)]
 mod idealised_lv;
 mod model;
+mod newton;
 mod observables;
 mod onset;
 mod parameters;

@@ -9,10 +9,11 @@ use super::{BaseMotion, HeartError, HeartState, Parameter, Parameters, Ventricle
 use crate::anatomy::{Anatomy, Region, Ventricle};
 use crate::circulation::{AtrialPressure, Phase, Windkessel};
 use crate::electrophysiology::{ActivationMap, activate};
-use crate::mechanics::{ContractionLaw, MotionState, Myocardium, PassiveProperties, StepOperator};
+use crate::mechanics::{ContractionLaw, Kinematics, MotionState, Myocardium, PassiveProperties, StepOperator, StepSettings, TimeScheme};
 use crate::mesh::SurfaceTag;
 
-/// Which configuration the cavity pressures act on.
+/// Which configuration the cavity pressures act on in linear kinematics. In corotational ones they follow the surface: the prestress and
+/// the fibres turn with the wall, and so must its load.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum PressureLoad {
     /// Normals and areas of the heart at rest: the linear theory's own, and a convex problem in every step.
@@ -28,6 +29,10 @@ pub enum PressureLoad {
 pub struct ModelSettings {
     /// Time step h, s.
     pub step_s: f64,
+    /// How time is discretised.
+    pub time_scheme: TimeScheme,
+    /// How strain is measured.
+    pub kinematics: Kinematics,
     /// Where the beat starts.
     pub onset_sites: OnsetSites,
     /// Where the base springs are anchored over the cycle; at rest without it.
@@ -42,6 +47,8 @@ impl Default for ModelSettings {
     fn default() -> Self {
         Self {
             step_s: 0.005,
+            time_scheme: TimeScheme::default(),
+            kinematics: Kinematics::default(),
             onset_sites: OnsetSites::Normal,
             base_motion: None,
             pressure_load: PressureLoad::default(),
@@ -109,7 +116,7 @@ impl HeartModel {
     pub fn new(anatomy: Arc<Anatomy>, parameters: Parameters, settings: ModelSettings) -> Result<Self, HeartError> {
         check_anatomy(&anatomy)?;
         check_settings(&settings, &anatomy, &parameters)?;
-        let operator = Arc::new(step_operator(None, &anatomy, &parameters, settings.step_s)?);
+        let operator = Arc::new(step_operator(None, &anatomy, &parameters, &settings)?);
         let activation = Arc::new(activation_map(&anatomy, &parameters, &settings)?);
         let contraction = Contraction::new(&anatomy, &parameters)?;
         let ventricles = anatomy.cavities.iter().map(|(v, _)| VentricleModel::new(&anatomy, *v, &parameters)).collect::<Result<_, _>>()?;
@@ -127,7 +134,7 @@ impl HeartModel {
         let operator = if same(&PASSIVE) {
             Arc::clone(&self.operator)
         } else {
-            Arc::new(step_operator(Some(self.operator.myocardium()), &self.anatomy, &parameters, self.settings.step_s)?)
+            Arc::new(step_operator(Some(self.operator.myocardium()), &self.anatomy, &parameters, &self.settings)?)
         };
         let activation = if same(&ELECTRICAL) {
             Arc::clone(&self.activation)
@@ -283,7 +290,7 @@ fn step_operator(
     same_mesh: Option<&Myocardium>,
     anatomy: &Anatomy,
     parameters: &Parameters,
-    step_s: f64,
+    settings: &ModelSettings,
 ) -> Result<StepOperator, HeartError> {
     let passive = PassiveProperties {
         fibre_stiffness_kpa: parameters[Parameter::FibreStiffness],
@@ -302,7 +309,8 @@ fn step_operator(
         Some(tissue) => tissue.with_properties(mesh, surface, fibre_axes, &passive)?,
         None => Myocardium::new(mesh, surface, fibre_axes, &passive)?,
     };
-    Ok(StepOperator::new(Arc::new(myocardium), step_s)?)
+    let &ModelSettings { step_s, time_scheme, kinematics, .. } = settings;
+    Ok(StepOperator::with_settings(Arc::new(myocardium), StepSettings { step_s, scheme: time_scheme, kinematics })?)
 }
 
 fn activation_map(anatomy: &Anatomy, parameters: &Parameters, settings: &ModelSettings) -> Result<ActivationMap, HeartError> {

@@ -7,12 +7,14 @@
 //! with $L_k$ the force of a unit pressure: $\partial_y V_k$ at rest ([`PressureLoad::Reference`]) or at $Y^*$ ([`PressureLoad::Following`]).
 //! The cavities answer as $V_k(p) = V_k(Y^*) + \partial_y V_k \cdot (Y(p) - Y^*)$, and the valves give the pressures. The volume is
 //! cubic in $Y$: the linearisation point $Y^*$ moves to $Y(p)$ until the volumes are those that the valves let through.
+//! So it is in linear kinematics; for corotational ones see `newton`.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
+use super::newton::NewtonWorkspace;
 use super::{HeartModel, HeartState, PressureLoad, StepError, VentricleState};
 use crate::circulation::{CavityResponse, CirculationError, ValveProblem, VentricleFlow, VentriclePorts};
-use crate::mechanics::{MechanicsError, SolveReport, StepLoad, StepSolver, StepSystem};
+use crate::mechanics::{Kinematics, MechanicsError, SolveReport, StepLoad, StepSolver, StepSystem};
 use crate::units::{MM3_PER_ML, mm3_from_ml};
 
 /// Rounds of the volume linearisation before a step is given up; 2–4 are usual.
@@ -24,19 +26,20 @@ const DISTANCE_LIMIT_MM: f64 = 500.0;
 /// Memory of one thread that steps a heart.
 #[derive(Debug)]
 pub struct StepWorkspace {
-    solver: StepSolver,
-    system: StepSystem,
+    pub(super) solver: StepSolver,
+    pub(super) system: StepSystem,
     anchors_mm: Vec<Vector3<f64>>,
     fraction: Vec<f64>,
     stress_kpa: Vec<f64>,
     /// y₀, mm.
     free_mm: Vec<Vector3<f64>>,
     /// Y*, then Y, mm.
-    trial_mm: Vec<Vector3<f64>>,
+    pub(super) trial_mm: Vec<Vector3<f64>>,
     /// ∂V at Y*, mm², one a cavity.
-    gradients_mm2: Vec<Vec<Vector3<f64>>>,
+    pub(super) gradients_mm2: Vec<Vec<Vector3<f64>>>,
     /// W, mm/kPa, one a cavity.
-    yields_mm_per_kpa: Vec<Vec<Vector3<f64>>>,
+    pub(super) yields_mm_per_kpa: Vec<Vec<Vector3<f64>>>,
+    pub(super) newton: NewtonWorkspace,
 }
 
 /// The end of a step and the work it took.
@@ -66,6 +69,7 @@ impl HeartModel {
             trial_mm: zeros(),
             gradients_mm2: self.ventricles.iter().map(|_| zeros()).collect(),
             yields_mm_per_kpa: self.ventricles.iter().map(|_| zeros()).collect(),
+            newton: NewtonWorkspace::default(),
         }
     }
 
@@ -74,6 +78,13 @@ impl HeartModel {
     /// # Errors
     /// [`StepError`] with the time, if a system cannot be solved, the volumes are not met, or the motion blows up.
     pub fn step(&self, state: &HeartState, data: &[&dyn StepLoad], workspace: &mut StepWorkspace) -> Result<StepOutcome, StepError> {
+        match self.settings.kinematics {
+            Kinematics::Linear => self.linear_step(state, data, workspace),
+            Kinematics::Corotational => self.newton_step(state, data, workspace),
+        }
+    }
+
+    fn linear_step(&self, state: &HeartState, data: &[&dyn StepLoad], workspace: &mut StepWorkspace) -> Result<StepOutcome, StepError> {
         let (time_s, step_s) = (state.time_s, self.settings.step_s);
         let mechanics = |source: MechanicsError| StepError::Mechanics { time_s, step_s, source };
         let circulation = |source: CirculationError| StepError::Circulation { time_s, step_s, source };
@@ -105,8 +116,9 @@ impl HeartModel {
         Err(StepError::VolumeNotMet { time_s, step_s, round_count: ROUND_LIMIT, volume_defect_ml: defect_mm3 / MM3_PER_ML })
     }
 
-    /// All that does not depend on the cavity pressures: F + F̃_img and K_img.
-    fn assemble(&self, state: &HeartState, data: &[&dyn StepLoad], workspace: &mut StepWorkspace) -> Result<(), MechanicsError> {
+    /// All that does not depend on the cavity pressures: F + F̃_img and K_img. In corotational kinematics the prestress, which turns with
+    /// the wall, is left to the balance.
+    pub(super) fn assemble(&self, state: &HeartState, data: &[&dyn StepLoad], workspace: &mut StepWorkspace) -> Result<(), MechanicsError> {
         let step_s = self.settings.step_s;
         let end_s = state.time_s + step_s;
         let StepWorkspace { system, anchors_mm, fraction, stress_kpa, .. } = workspace;
@@ -116,10 +128,12 @@ impl HeartModel {
         });
         self.operator.assemble(&state.motion, anchors, system)?;
         self.write_active_stress(end_s, fraction, stress_kpa);
-        self.operator.myocardium().add_contraction_force(stress_kpa, &mut system.force_mn)?;
-        for (model, ventricle) in self.ventricles.iter().zip(&state.ventricles) {
-            for (force, gradient) in system.force_mn.iter_mut().zip(model.rest_gradient_mm2.iter()) {
-                *force -= gradient * ventricle.rest_pressure_kpa;
+        self.operator.add_contraction(stress_kpa, system)?;
+        if self.settings.kinematics == Kinematics::Linear {
+            for (model, ventricle) in self.ventricles.iter().zip(&state.ventricles) {
+                for (force, gradient) in system.force_mn.iter_mut().zip(model.rest_gradient_mm2.iter()) {
+                    *force -= gradient * ventricle.rest_pressure_kpa;
+                }
             }
         }
         for load in data {
@@ -185,11 +199,11 @@ impl HeartModel {
         CavityResponse { volume_mm3, compliance_mm3_per_kpa }
     }
 
-    fn volumes_mm3(&self, position_mm: &[Vector3<f64>]) -> Vec<f64> {
+    pub(super) fn volumes_mm3(&self, position_mm: &[Vector3<f64>]) -> Vec<f64> {
         self.anatomy.cavities.iter().map(|(_, cavity)| cavity.volume_mm3(position_mm)).collect()
     }
 
-    fn ports(&self, state: &HeartState) -> Vec<VentriclePorts> {
+    pub(super) fn ports(&self, state: &HeartState) -> Vec<VentriclePorts> {
         let step_s = self.settings.step_s;
         let port = |(model, ventricle): (&super::model::VentricleModel, &VentricleState)| VentriclePorts {
             atrial_pressure_kpa: model.atrium.pressure_kpa(state.time_s + step_s),
@@ -198,7 +212,7 @@ impl HeartModel {
         self.ventricles.iter().zip(&state.ventricles).map(port).collect()
     }
 
-    fn check_distance(&self, state: &HeartState, position_mm: &[Vector3<f64>]) -> Result<(), StepError> {
+    pub(super) fn check_distance(&self, state: &HeartState, position_mm: &[Vector3<f64>]) -> Result<(), StepError> {
         for (vertex, (y, x)) in position_mm.iter().zip(self.anatomy.mesh.vertices_mm()).enumerate() {
             let distance_mm = (y - x).norm();
             if distance_mm.is_nan() || distance_mm > DISTANCE_LIMIT_MM {
@@ -208,7 +222,13 @@ impl HeartModel {
         Ok(())
     }
 
-    fn next_state(&self, state: &HeartState, workspace: &StepWorkspace, flows: &[VentricleFlow], volumes_mm3: &[f64]) -> HeartState {
+    pub(super) fn next_state(
+        &self,
+        state: &HeartState,
+        workspace: &StepWorkspace,
+        flows: &[VentricleFlow],
+        volumes_mm3: &[f64],
+    ) -> HeartState {
         let step_s = self.settings.step_s;
         let time_s = state.time_s + step_s;
         let advance = |(ventricle, before): (usize, &VentricleState)| {
@@ -236,7 +256,7 @@ impl HeartModel {
 
 impl StepWorkspace {
     /// Y* of the first round: the motion goes on as it is.
-    fn predict(&mut self, state: &HeartState, step_s: f64) {
+    pub(super) fn predict(&mut self, state: &HeartState, step_s: f64) {
         let moving = state.motion.position_mm.iter().zip(&state.motion.velocity_mm_per_s);
         for (trial, (y, v)) in self.trial_mm.iter_mut().zip(moving) {
             *trial = y + v * step_s;
@@ -265,10 +285,10 @@ impl StepWorkspace {
 }
 
 /// h (q_out − q_in), mm³.
-fn net_outflow_mm3(flow: &VentricleFlow, step_s: f64) -> f64 {
+pub(super) fn net_outflow_mm3(flow: &VentricleFlow, step_s: f64) -> f64 {
     mm3_from_ml((flow.outflow_ml_per_s - flow.inflow_ml_per_s) * step_s)
 }
 
-fn dot(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
+pub(super) fn dot(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
 }

@@ -225,6 +225,13 @@ impl StepOperator {
         Ok(())
     }
 
+    /// Norm of the forces that would move every vertex of the tissue at rest by 1 mm, each on its own, mN: what residuals are read
+    /// against.
+    pub fn unit_displacement_force_mn(&self) -> f64 {
+        let count = self.myocardium.vertex_count();
+        (0..count).map(|vertex| (self.matrix.diagonal(vertex).trace() / 3.0).powi(2)).sum::<f64>().sqrt()
+    }
+
     /// Writes (K_T + K_img) x, the derivative of minus the residual along x, mN.
     ///
     /// # Errors

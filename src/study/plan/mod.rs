@@ -17,7 +17,7 @@ pub use anatomy::{AnatomyPlan, AnatomySource, FibrePlan, IdealisedLv, LabelCodes
 pub use beats::{Beats, BeatsPlan};
 pub use images::{ImageSource, ImagesPlan, ReferenceLabels};
 pub use mesh_file::{LengthUnit, MeshPlan, MeshSource};
-pub use model::{ModelPlan, OnsetPlan, OnsetSite};
+pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite};
 pub use output::OutputPlan;
 pub use personalisation::{FreeParameter, PersonalisationPlan};
 pub use phantom::{ModelAnatomy, PhantomPlan};

@@ -20,6 +20,16 @@ words! {
     }
 }
 
+words! {
+    /// How strain is measured.
+    KinematicsPlan {
+        /// Small strain, the paper's.
+        Linear = "linear",
+        /// Large rotations.
+        Corotational = "corotational",
+    }
+}
+
 /// Where and when depolarisation starts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OnsetPlan {
@@ -36,13 +46,16 @@ pub struct ModelPlan {
     pub onset: OnsetPlan,
     /// `mechanics.step_s`: time step.
     pub step_s: f64,
+    /// `mechanics.kinematics`: how strain is measured.
+    pub kinematics: KinematicsPlan,
 }
 
 pub(super) fn read(root: &TableReader, parameters: &mut Parameters, written: &mut BTreeSet<Parameter>) -> ModelPlan {
     let onset = read_onset(root.table(Section::Electrophysiology.key()), parameters, written);
     let mechanics = root.table(Section::Mechanics.key());
     mechanics.parameters(Section::Mechanics, parameters, written);
-    let plan = ModelPlan { onset, step_s: mechanics.number("step_s", 1e-5..=0.05, 0.005) };
+    let kinematics = mechanics.choice("kinematics", KinematicsPlan::Linear);
+    let plan = ModelPlan { onset, step_s: mechanics.number("step_s", 1e-5..=0.05, 0.005), kinematics };
     mechanics.close();
     plan
 }

@@ -11,10 +11,10 @@ use crate::anatomy::{Anatomy, Ventricle};
 use crate::heart::{
     BeatDeformation, BeatObservables, HeartModel, ModelSettings, OnsetSites, Parameters, SimulationPlan, Trajectory, simulate,
 };
-use crate::mechanics::StepLoad;
+use crate::mechanics::{Kinematics, StepLoad};
 use crate::mesh::SurfaceTag;
 use crate::study::RunContext;
-use crate::study::plan::{ModelPlan, OnsetSite};
+use crate::study::plan::{KinematicsPlan, ModelPlan, OnsetSite};
 
 /// The heart of a plan on an anatomy.
 pub(super) fn heart_model(plan: &ModelPlan, anatomy: &Arc<Anatomy>, parameters: Parameters) -> Result<HeartModel, RunError> {
@@ -26,7 +26,11 @@ pub(super) fn heart_model(plan: &ModelPlan, anatomy: &Arc<Anatomy>, parameters: 
             OnsetSites::Vertices(plan.onset.sites.iter().map(|(at, delay_s)| (nearest_vertex(anatomy, at), *delay_s)).collect())
         }
     };
-    let settings = ModelSettings { step_s: plan.step_s, onset_sites, ..ModelSettings::default() };
+    let kinematics = match plan.kinematics {
+        KinematicsPlan::Linear => Kinematics::Linear,
+        KinematicsPlan::Corotational => Kinematics::Corotational,
+    };
+    let settings = ModelSettings { step_s: plan.step_s, kinematics, onset_sites, ..ModelSettings::default() };
     Ok(HeartModel::new(Arc::clone(anatomy), parameters, settings)?)
 }
 

@@ -1,0 +1,196 @@
+//! Claims about whole beats under corotational kinematics.
+
+use std::ops::ControlFlow;
+use std::sync::{Arc, OnceLock};
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::idealised_lv::IdealisedLv;
+use super::*;
+use crate::anatomy::{Anatomy, Ventricle};
+use crate::circulation::Phase;
+use crate::mechanics::{Kinematics, MotionState, StepLoad, StepSystem, TimeScheme};
+
+fn anatomy() -> Arc<Anatomy> {
+    static ANATOMY: OnceLock<Arc<Anatomy>> = OnceLock::new();
+    Arc::clone(ANATOMY.get_or_init(|| Arc::new(IdealisedLv::default().anatomy())))
+}
+
+fn settings(step_s: f64) -> ModelSettings {
+    ModelSettings { step_s, kinematics: Kinematics::Corotational, ..ModelSettings::default() }
+}
+
+fn with(values: &[(Parameter, f64)]) -> Parameters {
+    values.iter().fold(Parameters::default(), |parameters, &(parameter, value)| parameters.with(parameter, value).unwrap())
+}
+
+/// Published stiffness and contraction, which linear kinematics answer with a twist of 50° and more and an ejection fraction of 0.1–0.2.
+fn published() -> Parameters {
+    with(&[
+        (Parameter::FibreStiffness, 30.0),
+        (Parameter::TransverseStiffness, 20.0),
+        (Parameter::ContractionPeakLv, 80.0),
+        (Parameter::ContractionRate, 15.0),
+        (Parameter::RelaxationRate, 25.0),
+    ])
+}
+
+fn beat(model: &HeartModel, start_time_s: f64, end_time_s: f64, loads: &[&dyn StepLoad]) -> Trajectory {
+    let plan = SimulationPlan { start_time_s, end_time_s, frame_times_s: vec![] };
+    simulate(model, &plan, loads, &mut |_, _| ControlFlow::Continue(())).unwrap()
+}
+
+fn left(trajectory: &Trajectory) -> Vec<(f64, VentricleCurve)> {
+    trajectory.curves.iter().map(|row| (row.time_s, row.ventricle(Ventricle::Left).unwrap())).collect()
+}
+
+fn farthest_mm(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max)
+}
+
+#[test]
+fn a_heart_that_does_not_contract_stays_at_rest() {
+    let parameters = with(&[(Parameter::ContractionPeakLv, 0.0), (Parameter::AtrialKickLeft, 0.0)]);
+    let model = HeartModel::new(anatomy(), parameters, settings(0.005)).unwrap();
+    let last = beat(&model, -0.1, 0.2, &[]).last;
+    let moved_mm = farthest_mm(&last.motion.position_mm, anatomy().mesh.vertices_mm());
+    assert!(moved_mm < 1e-6, "a vertex moved by {moved_mm} mm");
+}
+
+/// Soft tissue as it is measured, and a contraction near the paper's 90 kPa, give a normal beat of four phases without a lost drop.
+#[test]
+fn published_stiffness_and_contraction_give_a_normal_beat() {
+    let trajectory = beat(&HeartModel::new(anatomy(), published(), settings(0.005)).unwrap(), -0.1, 1.6, &[]);
+    let observables = BeatObservables::of_beat(&trajectory.curves, Ventricle::Left, 0.8, 0.8).unwrap();
+    let ranges = [
+        ("EDV", observables.end_diastolic_volume_ml, 110.0..190.0),
+        ("EF", observables.ejection_fraction, 0.5..0.65),
+        ("peak pressure", observables.pressure_peak_mmhg, 100.0..140.0),
+        ("dP/dt", observables.pressure_rate_max_mmhg_per_s, 1200.0..5000.0),
+        ("ejection", observables.ejection_ms, 230.0..360.0),
+    ];
+    for (name, value, range) in ranges {
+        assert!(range.contains(&value), "{name} {value} outside {range:?}");
+    }
+    let rows = left(&trajectory);
+    for pair in rows.windows(2) {
+        let sent_ml = (pair[1].0 - pair[0].0) * (pair[1].1.inflow_ml_per_s - pair[1].1.outflow_ml_per_s);
+        assert!((pair[1].1.volume_ml - pair[0].1.volume_ml - sent_ml).abs() < 1.01e-6, "at {} s", pair[1].0);
+    }
+    let mut phases: Vec<Phase> = rows.iter().filter(|(time_s, _)| *time_s > 0.7).map(|(_, curve)| curve.phase).collect();
+    phases.dedup();
+    let expected: Vec<Phase> = Phase::CYCLE.iter().copied().cycle().skip(3).take(phases.len()).collect();
+    let from_filling: Vec<Phase> = std::iter::once(Phase::Filling).chain(Phase::CYCLE.iter().copied().cycle()).take(phases.len()).collect();
+    assert!(phases == expected || phases == from_filling, "{phases:?}");
+}
+
+/// No twisted branch: the ejection fraction grows with σ0 and no pressure leaps, where a follower load breaks linear kinematics.
+#[test]
+fn a_stronger_soft_heart_ejects_more_and_its_pressure_does_not_leap() {
+    let ejected = |peak_kpa: f64| {
+        let parameters = published().with(Parameter::ContractionPeakLv, peak_kpa).unwrap();
+        let rows = left(&beat(&HeartModel::new(anatomy(), parameters, settings(0.005)).unwrap(), -0.1, 0.45, &[]));
+        let leap = |pair: &[(f64, VentricleCurve)]| (pair[1].1.pressure_kpa - pair[0].1.pressure_kpa).abs();
+        let largest_leap_kpa = rows.windows(2).filter(|pair| pair[1].1.phase == Phase::Ejection).map(leap).fold(0.0, f64::max);
+        assert!(largest_leap_kpa < 1.5, "{largest_leap_kpa} kPa in one step of ejection at {peak_kpa} kPa");
+        let volumes = rows.iter().map(|(_, curve)| curve.volume_ml);
+        volumes.clone().fold(0.0, f64::max) - volumes.fold(f64::INFINITY, f64::min)
+    };
+    let stroke_ml = [60.0, 80.0, 100.0].map(ejected);
+    assert!(stroke_ml.windows(2).all(|pair| pair[1] > pair[0] + 5.0), "{stroke_ml:?} mL");
+}
+
+/// Both schemes tend to the same pressure as the step shrinks, generalised-α the faster.
+#[test]
+fn both_time_schemes_tend_to_the_same_contraction() {
+    let pressure = |step_s: f64, time_scheme| {
+        let settings = ModelSettings { time_scheme, ..settings(step_s) };
+        beat(&HeartModel::new(anatomy(), published(), settings).unwrap(), -0.02, 0.06, &[]).last.ventricles[0].pressure_kpa
+    };
+    let second_order = TimeScheme::GeneralisedAlpha { spectral_radius: 0.5 };
+    let (euler, alpha) = ([0.004, 0.002, 0.001].map(|h| pressure(h, TimeScheme::BackwardEuler)), pressure(0.001, second_order));
+    let order = ((euler[0] - euler[1]) / (euler[1] - euler[2])).abs().log2();
+    assert!((order - 1.0).abs() < 0.3, "order {order} of {euler:?} kPa");
+    let limit = 2.0 * euler[2] - euler[1];
+    assert!((alpha - limit).abs() < 0.5 * (euler[2] - limit).abs(), "generalised-α {alpha}, limit of Euler {limit}, Euler {}", euler[2]);
+}
+
+/// Springs that draw every vertex to a recorded motion.
+struct Recorded {
+    step_s: f64,
+    positions_mm: Vec<Vec<Vector3<f64>>>,
+    stiffness_mn_per_mm: Matrix3<f64>,
+}
+
+impl StepLoad for Recorded {
+    fn add_to(&self, _: &MotionState, time_s: f64, step_s: f64, system: &mut StepSystem) {
+        let step = ((time_s + step_s) / self.step_s).round() as usize;
+        for (vertex, target) in self.positions_mm[step].iter().enumerate() {
+            system.force_mn[vertex] += self.stiffness_mn_per_mm * target;
+            system.stiffness_mn_per_mm[vertex] += self.stiffness_mn_per_mm;
+        }
+    }
+}
+
+/// Also where the data's stiffness is not symmetric, as the exact image forces are.
+#[test]
+fn data_that_agree_with_the_model_do_not_change_its_beat() {
+    let model = HeartModel::new(anatomy(), published(), settings(0.005)).unwrap();
+    let mut positions_mm = vec![];
+    let plan = SimulationPlan { start_time_s: 0.0, end_time_s: 0.12, frame_times_s: vec![] };
+    let observer = &mut |state: &HeartState, _: &CurveRow| {
+        positions_mm.push(state.motion.position_mm.clone());
+        ControlFlow::Continue(())
+    };
+    let free = simulate(&model, &plan, &[], observer).unwrap();
+    for tilt in [0.0, 8.0] {
+        let stiffness_mn_per_mm = Matrix3::new(30.0, tilt, 0.0, 0.0, 30.0, 0.0, 0.0, 0.0, 30.0);
+        let data = Recorded { step_s: 0.005, positions_mm: positions_mm.clone(), stiffness_mn_per_mm };
+        let guided = beat(&model, 0.0, 0.12, &[&data]);
+        let apart_mm = farthest_mm(&free.last.motion.position_mm, &guided.last.motion.position_mm);
+        assert!(apart_mm < 1e-3, "{apart_mm} mm with tilt {tilt}");
+    }
+}
+
+#[test]
+fn a_beat_does_not_depend_on_the_number_of_threads() {
+    let model = HeartModel::new(anatomy(), published(), settings(0.005)).unwrap();
+    let on = |thread_count: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(thread_count).build().unwrap();
+        pool.install(|| beat(&model, 0.0, 0.12, &[]))
+    };
+    assert!(on(1) == on(2));
+}
+
+/// Steps of 0.5 to 10 ms, stiffness and contraction over their whole ranges: a beat, or an error that says when, with the step.
+#[test]
+fn every_corner_of_the_ranges_gives_a_beat_or_an_error_with_its_time() {
+    let coarse = Arc::new(IdealisedLv { resolution: [8, 4, 1], ..IdealisedLv::default() }.anatomy());
+    let range = |parameter: Parameter| [parameter.spec().lower, parameter.spec().default, parameter.spec().upper];
+    let mut beat_count = 0;
+    for step_s in [0.0005, 0.002, 0.01] {
+        for stiffness_kpa in range(Parameter::FibreStiffness) {
+            for peak_kpa in range(Parameter::ContractionPeakLv) {
+                let values = [
+                    (Parameter::FibreStiffness, stiffness_kpa),
+                    (Parameter::TransverseStiffness, stiffness_kpa),
+                    (Parameter::ContractionPeakLv, peak_kpa),
+                ];
+                let model = HeartModel::new(Arc::clone(&coarse), with(&values), settings(step_s)).unwrap();
+                let plan = SimulationPlan { start_time_s: 0.0, end_time_s: 0.2, frame_times_s: vec![] };
+                match simulate(&model, &plan, &[], &mut |_, _| ControlFlow::Continue(())) {
+                    Ok(trajectory) => {
+                        beat_count += 1;
+                        let is_finite = |(_, curve): (f64, VentricleCurve)| curve.volume_ml.is_finite() && curve.pressure_kpa.is_finite();
+                        assert!(left(&trajectory).into_iter().all(is_finite));
+                    }
+                    Err(error) => {
+                        let words = error.to_string();
+                        assert!(words.starts_with("at 0.") && words.contains(&format!("(step {step_s} s)")), "{words}");
+                    }
+                }
+            }
+        }
+    }
+    assert!(beat_count >= 24, "only {beat_count} of 27 hearts beat");
+}

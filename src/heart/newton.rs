@@ -1,0 +1,287 @@
+//! One coupled step under corotational kinematics: Newton's method on muscle, springs, data, pressures and valves at once.
+//!
+//! The balance of forces at the step's end, positions Y and pressures p, is
+//!
+//! $$r(Y, p) = F - f_{int}(Y) + \sum_k (p_k - \bar p_k)\, \partial_y V_k(Y) = 0,$$
+//!
+//! where the pressures follow the moving surface: a wall that turns takes the direction of its load along. $\bar p_k$ is the pressure
+//! under which the mesh rests, so the prestress that it is in equilibrium with turns as well. About a trial $(Y^\ast, p^\ast)$
+//!
+//! $$Y(p) = Y^\ast + \delta + \sum_k (p_k - p_k^\ast)\, W_k, \qquad A\,\delta = r(Y^\ast, p^\ast), \quad A\,W_k = \partial_y V_k,$$
+//!
+//! with $A = K_T + K_{img} - \sum_k (p_k^\ast - \bar p_k)\, \partial_y^2 V_k$ (without the motion of the lid's centre). As in linear
+//! kinematics the cavities' answer is affine in p and the valves give the pressures. The tangent is kept while rounds converge fast.
+
+use nalgebra::{DMatrix, DVector, Vector3};
+
+use super::step::{dot, net_outflow_mm3};
+use super::{HeartModel, HeartState, StepError, StepOutcome, StepWorkspace};
+use crate::circulation::{CavityResponse, ValveProblem, VentricleFlow, VentriclePorts};
+use crate::mechanics::{MechanicsError, SolvePath, SolveReport, StepLoad};
+use crate::mesh::Cavity;
+use crate::units::{MM3_PER_ML, mm3_from_ml};
+
+/// Rounds before a step is given up; 3–5 are usual.
+const ROUND_LIMIT: usize = 40;
+
+/// How far a round may be shortened: to a fraction of 2⁻⁸.
+const HALVING_LIMIT: i32 = 8;
+
+/// A step has converged when its residual, relative to the force that moves every vertex by 1 mm on its own, is below this.
+const RESIDUAL_TOLERANCE: f64 = 1e-7;
+
+/// Residual that the linear solve of a round may leave, relative.
+const FORCING: f64 = 1e-3;
+
+/// A round that leaves more of the residual than this is followed by a new tangent.
+const KEEP_TANGENT_BELOW: f64 = 0.05;
+
+/// Memory of Newton's method.
+#[derive(Debug, Default)]
+pub(super) struct NewtonWorkspace {
+    /// r, then ∂V, in; δ, then W, out.
+    columns: Vec<Vec<Vector3<f64>>>,
+    /// r at the trial, mN.
+    residual_mn: Vec<Vector3<f64>>,
+    /// Y(p) − Y*, mm.
+    direction_mm: Vec<Vector3<f64>>,
+    candidate_mm: Vec<Vector3<f64>>,
+    /// p* a ventricle, kPa.
+    pressure_kpa: Vec<f64>,
+}
+
+/// What a step of Newton's method is held against.
+struct Goal<'a> {
+    before_mm3: &'a [f64],
+    ports: &'a [VentriclePorts],
+    residual_mn: f64,
+    volume_mm3: f64,
+}
+
+/// Where a round has come to.
+struct Round {
+    flows: Vec<VentricleFlow>,
+    residual_mn: f64,
+    defect_mm3: f64,
+    is_full: bool,
+}
+
+impl HeartModel {
+    /// One step as [`HeartModel::step`].
+    pub(super) fn newton_step(
+        &self,
+        state: &HeartState,
+        data: &[&dyn StepLoad],
+        workspace: &mut StepWorkspace,
+    ) -> Result<StepOutcome, StepError> {
+        let (time_s, step_s) = (state.time_s, self.settings.step_s);
+        let mechanics = |source: MechanicsError| StepError::Mechanics { time_s, step_s, source };
+        self.assemble(state, data, workspace).map_err(mechanics)?;
+        let before_mm3: Vec<f64> = state.ventricles.iter().map(|ventricle| ventricle.volume_mm3).collect();
+        let goal = Goal {
+            before_mm3: &before_mm3,
+            ports: &self.ports(state),
+            residual_mn: RESIDUAL_TOLERANCE * self.operator.unit_displacement_force_mn(),
+            volume_mm3: mm3_from_ml(self.settings.volume_tolerance_ml),
+        };
+        let mut residual_mn = self.start(state, workspace).map_err(mechanics)?;
+        let mut solve = SolveReport { path: SolvePath::Direct, iteration_count: 0, relative_residual: 0.0, was_refactorised: false };
+        let mut is_tangent_good = false;
+        let mut defect_mm3 = f64::INFINITY;
+        for round_count in 1..=ROUND_LIMIT {
+            let report = self.solve_round(state, is_tangent_good, workspace).map_err(mechanics)?;
+            solve = SolveReport { iteration_count: solve.iteration_count + report.iteration_count, ..report };
+            let Some(round) = self.take_round(state, &goal, residual_mn, workspace)? else { break };
+            let after_mm3 = self.volumes_mm3(&workspace.trial_mm);
+            self.check_distance(state, &workspace.trial_mm)?;
+            defect_mm3 = round.defect_mm3;
+            is_tangent_good = round.is_full && round.residual_mn < KEEP_TANGENT_BELOW * residual_mn;
+            residual_mn = round.residual_mn;
+            if round.is_full && residual_mn <= goal.residual_mn && defect_mm3 <= goal.volume_mm3 {
+                let state = self.next_state(state, workspace, &round.flows, &after_mm3);
+                return Ok(StepOutcome { state, round_count, volume_defect_ml: defect_mm3 / MM3_PER_ML, solve });
+            }
+        }
+        let tolerance_mn = goal.residual_mn;
+        Err(StepError::NotConverged { time_s, step_s, residual_mn, tolerance_mn, volume_defect_ml: defect_mm3 / MM3_PER_ML })
+    }
+
+    /// The first trial: the motion and the pressures go on as they are; from where the heart is if that turns a tetrahedron inside out.
+    /// Gives the norm of r there.
+    fn start(&self, state: &HeartState, workspace: &mut StepWorkspace) -> Result<f64, MechanicsError> {
+        workspace.predict(state, self.settings.step_s);
+        if self.operator.update_force(&workspace.trial_mm, &mut workspace.system).is_err() {
+            workspace.trial_mm.copy_from_slice(&state.motion.position_mm);
+            self.operator.update_force(&workspace.trial_mm, &mut workspace.system)?;
+        }
+        let newton = &mut workspace.newton;
+        newton.pressure_kpa.clear();
+        newton.pressure_kpa.extend(state.ventricles.iter().map(|ventricle| ventricle.pressure_kpa));
+        newton.candidate_mm.clone_from(&workspace.trial_mm);
+        newton.direction_mm.clone_from(&workspace.trial_mm);
+        newton.residual_mn.clone_from(&workspace.trial_mm);
+        let pressure_kpa = newton.pressure_kpa.clone();
+        self.balance(state, &pressure_kpa, workspace)
+    }
+
+    /// Writes ∂V at the candidate and r there, and gives the norm of r.
+    fn balance(&self, state: &HeartState, pressure_kpa: &[f64], workspace: &mut StepWorkspace) -> Result<f64, MechanicsError> {
+        let StepWorkspace { system, gradients_mm2, newton, .. } = workspace;
+        self.operator.residual(system, &mut newton.residual_mn)?;
+        for (ventricle, (_, cavity)) in self.anatomy.cavities.iter().enumerate() {
+            let gradient_mm2 = &mut gradients_mm2[ventricle];
+            gradient_mm2.fill(Vector3::zeros());
+            cavity.add_gradient(&newton.candidate_mm, 1.0, gradient_mm2);
+            let over_kpa = pressure_kpa[ventricle] - state.ventricles[ventricle].rest_pressure_kpa;
+            newton.residual_mn.iter_mut().zip(gradient_mm2.iter()).for_each(|(residual, gradient)| *residual += gradient * over_kpa);
+        }
+        Ok(dot(&newton.residual_mn, &newton.residual_mn).sqrt())
+    }
+
+    /// δ, and W where the tangent is new.
+    fn solve_round(&self, state: &HeartState, is_tangent_good: bool, workspace: &mut StepWorkspace) -> Result<SolveReport, MechanicsError> {
+        let StepWorkspace { solver, system, trial_mm, gradients_mm2, yields_mm_per_kpa, newton, .. } = workspace;
+        if !is_tangent_good {
+            self.operator.linearise(trial_mm, system)?;
+            if let Some(tangent) = &mut system.tangent {
+                for (ventricle, (_, cavity)) in self.anatomy.cavities.iter().enumerate() {
+                    let over_kpa = newton.pressure_kpa[ventricle] - state.ventricles[ventricle].rest_pressure_kpa;
+                    add_pressure_stiffness(cavity, trial_mm, over_kpa, |row, column, block| tangent.add_stiffness(row, column, block));
+                }
+            }
+        }
+        let column_count = if is_tangent_good { 1 } else { 1 + gradients_mm2.len() };
+        newton.columns.resize_with(1 + gradients_mm2.len(), Vec::new);
+        newton.columns[0].clone_from(&newton.residual_mn);
+        newton.columns[1..].iter_mut().zip(gradients_mm2).for_each(|(column, gradient)| column.clone_from(gradient));
+        let report = solver.correct(&self.operator, system, &mut newton.columns[..column_count], FORCING)?;
+        if !is_tangent_good {
+            yields_mm_per_kpa.iter_mut().zip(&newton.columns[1..]).for_each(|(yielded, column)| yielded.clone_from(column));
+        }
+        Ok(report)
+    }
+
+    /// Lets the valves find the pressures and takes the trial there, or part of the way where the balance is far from its linearisation
+    /// or a tetrahedron would turn inside out. None if no part of the way will do.
+    fn take_round(
+        &self,
+        state: &HeartState,
+        goal: &Goal<'_>,
+        before_mn: f64,
+        workspace: &mut StepWorkspace,
+    ) -> Result<Option<Round>, StepError> {
+        let (time_s, step_s) = (state.time_s, self.settings.step_s);
+        let mechanics = |source: MechanicsError| StepError::Mechanics { time_s, step_s, source };
+        let response = self.trial_response(workspace);
+        let flows = ValveProblem::new(&response, goal.before_mm3, goal.ports, self.valve_resistance(), step_s)
+            .and_then(|valves| valves.solve())
+            .map_err(|source| StepError::Circulation { time_s, step_s, source })?;
+        let start_kpa = workspace.newton.pressure_kpa.clone();
+        let change_kpa: Vec<f64> = flows.iter().zip(&start_kpa).map(|(flow, start)| flow.pressure_kpa - start).collect();
+        workspace.write_direction(&change_kpa);
+        // What the linearised forces change by on the whole way.
+        let linear_mn: f64 =
+            change_kpa.iter().zip(&workspace.gradients_mm2).map(|(change, gradient)| change.abs() * dot(gradient, gradient).sqrt()).sum();
+        for halving in 0..=HALVING_LIMIT {
+            let part = 0.5f64.powi(halving);
+            workspace.move_candidate(part);
+            if self.operator.update_force(&workspace.newton.candidate_mm, &mut workspace.system).is_err() {
+                continue;
+            }
+            let pressure_kpa: Vec<f64> = start_kpa.iter().zip(&change_kpa).map(|(start, change)| start + change * part).collect();
+            let residual_mn = self.balance(state, &pressure_kpa, workspace).map_err(mechanics)?;
+            let is_near = residual_mn <= (1.0 - 0.5 * part) * (before_mn + part * linear_mn) || residual_mn <= goal.residual_mn;
+            if is_near {
+                workspace.trial_mm.copy_from_slice(&workspace.newton.candidate_mm);
+                workspace.newton.pressure_kpa = pressure_kpa;
+                let defect_mm3 = self.volume_defect_mm3(goal, &flows, &workspace.trial_mm);
+                return Ok(Some(Round { flows, residual_mn, defect_mm3, is_full: halving == 0 }));
+            }
+        }
+        Ok(None)
+    }
+
+    /// V_k(p) = V_k(Y*) + ∂V_k·δ + Σ_l (p_l − p*_l) ∂V_k·W_l.
+    fn trial_response(&self, workspace: &StepWorkspace) -> CavityResponse {
+        let StepWorkspace { trial_mm, gradients_mm2, yields_mm_per_kpa, newton, .. } = workspace;
+        let count = gradients_mm2.len();
+        let compliance = DMatrix::from_fn(count, count, |k, l| dot(&gradients_mm2[k], &yields_mm_per_kpa[l]));
+        let compliance_mm3_per_kpa = (&compliance + compliance.transpose()) * 0.5;
+        let pressure_kpa = DVector::from_column_slice(&newton.pressure_kpa);
+        let mut volume_mm3 = DVector::from_vec(self.volumes_mm3(trial_mm)) - &compliance_mm3_per_kpa * pressure_kpa;
+        for (volume, gradient) in volume_mm3.iter_mut().zip(gradients_mm2) {
+            *volume += dot(gradient, &newton.columns[0]);
+        }
+        CavityResponse { volume_mm3, compliance_mm3_per_kpa }
+    }
+
+    fn volume_defect_mm3(&self, goal: &Goal<'_>, flows: &[VentricleFlow], position_mm: &[Vector3<f64>]) -> f64 {
+        let volumes = self.volumes_mm3(position_mm);
+        let defect = |v: usize| (volumes[v] - goal.before_mm3[v] + net_outflow_mm3(&flows[v], self.settings.step_s)).abs();
+        (0..flows.len()).map(defect).fold(0.0, f64::max)
+    }
+}
+
+impl StepWorkspace {
+    /// δ + Σ (p − p*) W.
+    fn write_direction(&mut self, change_kpa: &[f64]) {
+        let Self { yields_mm_per_kpa, newton, .. } = self;
+        newton.direction_mm.copy_from_slice(&newton.columns[0]);
+        for (change, yields) in change_kpa.iter().zip(yields_mm_per_kpa) {
+            newton.direction_mm.iter_mut().zip(yields).for_each(|(direction, yielded)| *direction += *yielded * *change);
+        }
+    }
+
+    fn move_candidate(&mut self, part: f64) {
+        let moving = self.trial_mm.iter().zip(&self.newton.direction_mm);
+        self.newton.candidate_mm.iter_mut().zip(moving).for_each(|(candidate, (trial, direction))| *candidate = trial + direction * part);
+    }
+}
+
+/// Adds $-p\,\partial_y^2 V$ block by block: with $\partial_{y_a} V = \frac16 \sum y_b \times y_c$, the force on corner a changes by
+/// $\frac p6 (dy_b \times y_c + y_b \times dy_c)$.
+fn add_pressure_stiffness(
+    cavity: &Cavity,
+    position_mm: &[Vector3<f64>],
+    pressure_kpa: f64,
+    mut add: impl FnMut(usize, usize, &nalgebra::Matrix3<f64>),
+) {
+    let centre = cavity.lid_centre_mm(position_mm);
+    for &[a, b, c] in cavity.endocardium() {
+        for [i, j, k] in [[a, b, c], [b, c, a], [c, a, b]] {
+            let crossed = [j, k].map(|vertex| (position_mm[vertex] - centre).cross_matrix() * (pressure_kpa / 6.0));
+            add(i, j, &crossed[1]);
+            add(i, k, &-crossed[0]);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::idealised_lv::IdealisedLv;
+    use super::*;
+
+    /// Away from the rim, whose vertices carry the lid's centre.
+    #[test]
+    fn the_pressure_stiffness_is_the_derivative_of_the_pressure_force() {
+        let anatomy = IdealisedLv { resolution: [6, 4, 1], ..IdealisedLv::default() }.anatomy();
+        let cavity = &anatomy.cavities[0].1;
+        let position = anatomy.mesh.vertices_mm().to_vec();
+        let is_free = |vertex: usize| !cavity.rim().contains(&vertex);
+        let change: Vec<Vector3<f64>> = (0..position.len())
+            .map(|v| if is_free(v) { Vector3::new((3.0 * v as f64).sin(), (5.0 * v as f64).cos(), 0.4) } else { Vector3::zeros() })
+            .collect();
+        let mut product = vec![Vector3::zeros(); position.len()];
+        add_pressure_stiffness(cavity, &position, 7.0, |row, column, block| product[row] -= block * change[column]);
+        let step = 1e-4;
+        let force = |by: f64| {
+            let mut force = vec![Vector3::zeros(); position.len()];
+            let moved: Vec<_> = position.iter().zip(&change).map(|(y, d)| y + d * by).collect();
+            cavity.add_gradient(&moved, 7.0, &mut force);
+            force
+        };
+        for (vertex, (plus, minus)) in force(step).iter().zip(force(-step)).enumerate().filter(|(vertex, _)| is_free(*vertex)) {
+            assert!(((plus - minus) / (2.0 * step) - product[vertex]).norm() < 1e-6, "vertex {vertex}");
+        }
+    }
+}
