@@ -24,7 +24,7 @@ fn with(values: &[(Parameter, f64)]) -> Parameters {
     values.iter().fold(Parameters::default(), |parameters, &(parameter, value)| parameters.with(parameter, value).unwrap())
 }
 
-/// Published stiffness and contraction, which linear kinematics answer with a twist of 50° and more and an ejection fraction of 0.1–0.2.
+/// Published stiffness and contraction, under which linear kinematics twist the wall by more than 60°.
 fn published() -> Parameters {
     with(&[
         (Parameter::FibreStiffness, 30.0),
