@@ -162,12 +162,12 @@ fn a_beat_does_not_depend_on_the_number_of_threads() {
     assert!(on(1) == on(2));
 }
 
-/// Steps of 0.5 to 10 ms, stiffness and contraction over their whole ranges: a beat, or an error that says when, with the step.
+/// Steps of 0.5 to 10 ms, stiffness and contraction over their whole ranges: a beat, or (only in tissue a thousand times softer than
+/// muscle) an error that says when, with the step.
 #[test]
 fn every_corner_of_the_ranges_gives_a_beat_or_an_error_with_its_time() {
     let coarse = Arc::new(IdealisedLv { resolution: [8, 4, 1], ..IdealisedLv::default() }.anatomy());
     let range = |parameter: Parameter| [parameter.spec().lower, parameter.spec().default, parameter.spec().upper];
-    let mut beat_count = 0;
     for step_s in [0.0005, 0.002, 0.01] {
         for stiffness_kpa in range(Parameter::FibreStiffness) {
             for peak_kpa in range(Parameter::ContractionPeakLv) {
@@ -180,17 +180,16 @@ fn every_corner_of_the_ranges_gives_a_beat_or_an_error_with_its_time() {
                 let plan = SimulationPlan { start_time_s: 0.0, end_time_s: 0.2, frame_times_s: vec![] };
                 match simulate(&model, &plan, &[], &mut |_, _| ControlFlow::Continue(())) {
                     Ok(trajectory) => {
-                        beat_count += 1;
                         let is_finite = |(_, curve): (f64, VentricleCurve)| curve.volume_ml.is_finite() && curve.pressure_kpa.is_finite();
                         assert!(left(&trajectory).into_iter().all(is_finite));
                     }
                     Err(error) => {
                         let words = error.to_string();
+                        assert!(stiffness_kpa < 1.0, "{words} with a stiffness of {stiffness_kpa} kPa");
                         assert!(words.starts_with("at 0.") && words.contains(&format!("(step {step_s} s)")), "{words}");
                     }
                 }
             }
         }
     }
-    assert!(beat_count >= 24, "only {beat_count} of 27 hearts beat");
 }
