@@ -154,7 +154,7 @@ fn volumes_of_the_idealised_biventricle_converge_at_second_order() {
         let found = [blood(0), blood(1), anatomy.mesh.total_volume_mm3()];
         [0, 1, 2].map(|i| (found[i] / exact[i] - 1.0).abs())
     });
-    assert!(errors[0].iter().all(|error| *error < 0.06) && errors[1].iter().all(|error| *error < 0.015), "{errors:?}");
+    assert!(errors[0].iter().all(|error| *error < 0.08) && errors[1].iter().all(|error| *error < 0.015), "{errors:?}");
     assert!((0..3).all(|i| errors[1][i] < errors[0][i] / 3.0), "{errors:?}");
 }
 
@@ -168,9 +168,16 @@ fn thin_right_ventricles_are_meshed_at_any_edge_length() {
         (8.0, Vector3::z()),
         (6.5, Vector3::new(-0.3, 0.2, 1.0)),
         (5.0, Vector3::z()),
+        (4.0, Vector3::new(0.5, 0.1, 1.0)),
     ] {
         let heart = IdealisedBiventricle { long_axis, ..IdealisedBiventricle::default() };
         let anatomy = heart.build(&MesherSettings::with_edge_length_mm(edge_length_mm), &AnatomySettings::default()).unwrap();
+        for (tag, expected) in
+            [(SurfaceTag::EndocardiumLv, 1), (SurfaceTag::EndocardiumRv, 1), (SurfaceTag::Epicardium, 1), (SurfaceTag::Base, -1)]
+        {
+            let patch: Vec<[usize; 3]> = anatomy.surface.triangles_with(tag).collect();
+            assert_eq!(euler_characteristic(&patch), expected, "{edge_length_mm} mm: {tag:?} is a disc, the base one with two holes");
+        }
         let quality = MeshQuality::of(&anatomy.mesh);
         assert!(quality.dihedral_percentile_1_deg > 11.0 && quality.dihedral_greatest_deg < 172.0, "{edge_length_mm} mm: {quality:?}");
         least_deg = least_deg.min(quality.dihedral_least_deg);

@@ -4,6 +4,7 @@
 //! so that base and rim are sharp by construction; `optimise` then moves vertices (those of the surface on the surface) to raise the
 //! least dihedral angles, and `tagging` says which triangle is endocardium, epicardium or base.
 
+mod clefts;
 mod collapse;
 mod lattice;
 mod optimise;

@@ -61,6 +61,7 @@ pub(super) fn stuff(lattice: &Lattice, level: &LevelSet, rooms: Option<&RoomOf>)
     let mut stuffing = Stuffing::sample(lattice, level, rooms)?;
     if rooms.is_some() {
         stuffing.hold_thin_walls(level);
+        stuffing.close_clefts(level);
         stuffing.fill_pockets(level);
     }
     stuffing.cut_edges(level);
@@ -228,29 +229,10 @@ impl<'a> Stuffing<'a> {
             return false;
         }
         let in_plane: &[bool] = if self.lattice.is_in_plane(point) { &[false, true] } else { &[false] };
-        let holds = |side: Side| in_plane.iter().all(|&only_in_plane| self.hang_together(point, side, only_in_plane, star));
-        holds(Side::Inside) && holds(Side::Outside)
-    }
-
-    /// Whether the points of one side around a point (optionally those in the base plane) form one connected group.
-    fn hang_together(&self, point: usize, side: Side, only_in_plane: bool, star: &[[usize; 4]]) -> bool {
-        let counts = |p: usize| p != point && self.side[p] == side && (!only_in_plane || self.lattice.is_in_plane(p));
-        let mut groups: Vec<Vec<usize>> = vec![];
-        for corners in star {
-            let mut merged: Vec<usize> = corners.iter().copied().filter(|&p| counts(p)).collect();
-            if merged.is_empty() {
-                continue;
-            }
-            groups.retain(|group| {
-                let is_apart = group.iter().all(|p| !merged.contains(p));
-                if !is_apart {
-                    merged.extend(group.iter().filter(|&p| !corners.contains(p)));
-                }
-                is_apart
-            });
-            groups.push(merged);
-        }
-        groups.len() == 1
+        let holds = |side: Side, only_in_plane: bool| {
+            hang_together(star, &|p| p != point && self.side[p] == side && (!only_in_plane || self.lattice.is_in_plane(p)))
+        };
+        in_plane.iter().all(|&only_in_plane| holds(Side::Inside, only_in_plane) && holds(Side::Outside, only_in_plane))
     }
 
     fn is_live(&self, edge: usize) -> bool {
@@ -308,6 +290,26 @@ impl<'a> Stuffing<'a> {
     pub(super) fn vertex_mm(&self, vertex: usize) -> Vector3<f64> {
         vertex.checked_sub(self.position_mm.len()).map_or_else(|| self.position_mm[vertex], |edge| self.cuts_mm[edge])
     }
+}
+
+/// Whether the points of a star that count form one connected group.
+pub(super) fn hang_together(star: &[[usize; 4]], counts: &dyn Fn(usize) -> bool) -> bool {
+    let mut groups: Vec<Vec<usize>> = vec![];
+    for corners in star {
+        let mut merged: Vec<usize> = corners.iter().copied().filter(|&p| counts(p)).collect();
+        if merged.is_empty() {
+            continue;
+        }
+        groups.retain(|group| {
+            let is_apart = group.iter().all(|p| !merged.contains(p));
+            if !is_apart {
+                merged.extend(group.iter().filter(|&p| !corners.contains(p)));
+            }
+            is_apart
+        });
+        groups.push(merged);
+    }
+    groups.len() == 1
 }
 
 /// The zero of `level` on a segment between two points of different sign, by the Illinois variant of the false position.

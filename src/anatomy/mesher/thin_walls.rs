@@ -54,19 +54,24 @@ impl Stuffing<'_> {
     pub(super) fn fill_pockets(&mut self, level: &LevelSet) {
         for only_in_plane in [false, true] {
             let pockets = self.pockets(only_in_plane);
-            let stars = self.stars(pockets.iter());
-            for point in pockets {
-                let ways = self.ways_to_wall(point, level);
-                for (share, flatness) in ROUNDS {
-                    let places = ways.iter().filter_map(|way| self.place_in_wall(point, way, share, level));
-                    let upright = places.filter(|place| self.stays_upright(point, place, &stars[&point], flatness));
-                    let distance = |place: &Vector3<f64>| (place - self.position_mm[point]).norm();
-                    if let Some(place) = upright.min_by(|a, b| distance(a).total_cmp(&distance(b))) {
-                        self.position_mm[point] = place;
-                        self.level[point] = level(&place);
-                        self.side[point] = Side::Inside;
-                        break;
-                    }
+            self.move_into_wall(&pockets, level);
+        }
+    }
+
+    /// Moves points to the nearest place in the wall that is within reach.
+    pub(super) fn move_into_wall(&mut self, points: &[usize], level: &LevelSet) {
+        let stars = self.stars(points.iter());
+        for &point in points {
+            let ways = self.ways_to_wall(point, level);
+            for (share, flatness) in ROUNDS {
+                let places = ways.iter().filter_map(|way| self.place_in_wall(point, way, share, level));
+                let upright = places.filter(|place| self.stays_upright(point, place, &stars[&point], flatness));
+                let distance = |place: &Vector3<f64>| (place - self.position_mm[point]).norm();
+                if let Some(place) = upright.min_by(|a, b| distance(a).total_cmp(&distance(b))) {
+                    self.position_mm[point] = place;
+                    self.level[point] = level(&place);
+                    self.side[point] = Side::Inside;
+                    break;
                 }
             }
         }
