@@ -47,7 +47,7 @@ const POINT_SOURCES: [(f64, f64, f64); 4] =
 fn point_source_errors_ms(cells_per_mm: usize, ray_length_mm: f64, (speed, ratio, corner_ms): (f64, f64, f64)) -> (f64, f64) {
     let size_mm = 1.0 / cells_per_mm as f64;
     let mesh = box_mesh([20 * cells_per_mm, 7 * cells_per_mm, 3 * cells_per_mm], size_mm);
-    let settings = ActivationSettings { ray_length_edges: ray_length_mm / (1.3 * size_mm) };
+    let settings = ActivationSettings { ray_length_mm: Some(ray_length_mm) };
     let map = activate_with(&mesh, &uniform(&mesh, speed, ratio, Vector3::x()), &AT_ORIGIN, &settings).unwrap();
     let exact_s = |p: &Vector3<f64>| (p.x * p.x + (p.y * p.y + p.z * p.z) / ratio).sqrt() / speed;
     let total_s: f64 = mesh.vertices_mm().iter().zip(map.times_s()).map(|(p, t)| (t - exact_s(p)).abs()).sum();
@@ -71,21 +71,53 @@ fn a_point_source_converges_to_the_closed_form() {
 }
 
 #[test]
-fn straight_rays_are_exact_in_a_uniform_medium_and_halve_the_error_beyond_them() {
+fn straight_rays_are_exact_in_a_uniform_medium() {
     for source in POINT_SOURCES {
         let (mean_ms, corner_ms) = point_source_errors_ms(1, 40.0, source);
         assert!(mean_ms < 1e-9 && corner_ms < 5e-5, "{source:?}: {mean_ms} {corner_ms}");
     }
-    let mesh = box_mesh([20; 3], 1.0);
+}
+
+/// The error of the plain update (any fast marching or iterative code) on the same mesh is the yardstick: 1.385 ms on average at 20 cells
+/// a side, of which 0.18 are left.
+#[test]
+fn straight_rays_more_than_halve_the_error_on_every_mesh() {
     let (ratio, fibre) = (1.0 / 9.0, Vector3::new(1.0, 0.7, 0.3).normalize());
-    let conduction = uniform(&mesh, 600.0, ratio, fibre);
-    let mean_error = |settings: &ActivationSettings| {
-        let map = activate_with(&mesh, &conduction, &AT_ORIGIN, settings).unwrap();
-        let exact_s = |p: &Vector3<f64>| (p.dot(&fibre).powi(2) * (1.0 - 1.0 / ratio) + p.norm_squared() / ratio).sqrt() / 600.0;
-        mesh.vertices_mm().iter().zip(map.times_s()).map(|(p, t)| (t - exact_s(p)).abs()).sum::<f64>()
+    let exact_s = |p: &Vector3<f64>| (p.dot(&fibre).powi(2) * (1.0 - 1.0 / ratio) + p.norm_squared() / ratio).sqrt() / 600.0;
+    for cells in [10, 20, 32] {
+        let mesh = box_mesh([cells; 3], 20.0 / cells as f64);
+        let conduction = uniform(&mesh, 600.0, ratio, fibre);
+        let [with, without] = [None, Some(0.0)].map(|ray_length_mm| mean_error_s(&mesh, &conduction, ray_length_mm, exact_s));
+        assert!(with < 0.4 * without, "{cells} cells: {with} s with, {without} s without");
+    }
+}
+
+/// Straight rays are no longer exact where $v = v_0 + g x$ bends them into circles, and still better than the march: $g\,t_d = \operatorname{arcosh}\left(1 + g^2 |x|^2 / (2 v_0 v)\right)$.
+#[test]
+fn a_speed_that_grows_linearly_converges_to_its_closed_form() {
+    let (v0, growth_per_s) = (500.0, 20.0);
+    let exact_s = |p: &Vector3<f64>| {
+        let speed = v0 + growth_per_s * p.x;
+        (1.0 + growth_per_s * growth_per_s * p.norm_squared() / (2.0 * v0 * speed)).acosh() / growth_per_s
     };
-    let alone = mean_error(&ActivationSettings { ray_length_edges: 0.0 });
-    assert!(mean_error(&ActivationSettings::default()) < 0.5 * alone);
+    let errors = |ray_length_mm: Option<f64>| {
+        [8, 16, 32].map(|cells| {
+            let mesh = box_mesh([cells; 3], 20.0 / cells as f64);
+            let speed = |t: usize| v0 + growth_per_s * mesh.corners_mm(t).iter().map(|p| p.x).sum::<f64>() / 4.0;
+            let count = mesh.tetrahedron_count();
+            let conduction = Conduction::new((0..count).map(speed).collect(), 1.0, vec![Vector3::x(); count]).unwrap();
+            mean_error_s(&mesh, &conduction, ray_length_mm, exact_s)
+        })
+    };
+    let (with, without) = (errors(None), errors(Some(0.0)));
+    assert!(with[1] < 0.6 * with[0] && with[2] < 0.85 * with[1], "{with:?}");
+    assert!((0..3).all(|level| with[level] < 0.5 * without[level]), "{with:?} with rays, {without:?} without");
+}
+
+fn mean_error_s(mesh: &TetMesh, conduction: &Conduction, ray_length_mm: Option<f64>, exact_s: impl Fn(&Vector3<f64>) -> f64) -> f64 {
+    let map = activate_with(mesh, conduction, &AT_ORIGIN, &ActivationSettings { ray_length_mm }).unwrap();
+    let total_s: f64 = mesh.vertices_mm().iter().zip(map.times_s()).map(|(p, t)| (t - exact_s(p)).abs()).sum();
+    total_s / mesh.vertex_count() as f64
 }
 
 /// Around the cavity of a spherical shell the front creeps along the inner sphere.

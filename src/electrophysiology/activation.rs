@@ -48,17 +48,12 @@ pub enum Stencil {
 }
 
 /// How the neighbourhood of an onset is solved.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ActivationSettings {
-    /// Length of the straight rays around a single onset (one without onsets next to it), in mean edge lengths of the mesh; 0 for the march
-    /// alone, which is first order there up to a logarithm.
-    pub ray_length_edges: f64,
-}
-
-impl Default for ActivationSettings {
-    fn default() -> Self {
-        Self { ray_length_edges: 6.0 }
-    }
+    /// How far straight rays reach around a single onset (one without onsets next to it); zero is the march alone. Starting at a
+    /// distance r the march errs by $O(h\log(R/r))$, h the mean edge and R the diagonal of the mesh. `None` is $2\sqrt{Rh}$, which
+    /// leaves less than half of the error of a march from the point, on every mesh, and few rays.
+    pub ray_length_mm: Option<f64>,
 }
 
 /// Depolarisation times td of all vertices and the stencils they came from.

@@ -56,14 +56,14 @@ impl Conduction {
 
     /// The travel time (s) along a straight `offset_mm` inside a tetrahedron: $\sqrt{e^T D^{-1} e} / v$.
     pub fn travel_time_s(&self, tetrahedron: usize, offset_mm: &Vector3<f64>) -> f64 {
-        self.squared_travel_time_s2(tetrahedron, offset_mm).sqrt()
+        self.metric(tetrahedron).squared_s2(offset_mm).sqrt()
     }
 
-    /// $e^T D^{-1} e / v^2$ with $D^{-1} = \rho^{-1} I + (1 - \rho^{-1}) f f^T$, s².
-    pub(super) fn squared_travel_time_s2(&self, tetrahedron: usize, offset_mm: &Vector3<f64>) -> f64 {
-        let along_mm = self.fibres[tetrahedron].dot(offset_mm);
-        let across_mm2 = (offset_mm.norm_squared() - along_mm * along_mm).max(0.0);
-        (along_mm * along_mm + across_mm2 / self.anisotropy_ratio) / self.speed_mm_per_s[tetrahedron].powi(2)
+    /// The metric of travel times in a tetrahedron.
+    pub(super) fn metric(&self, tetrahedron: usize) -> Metric<'_> {
+        let squared_slowness = self.speed_mm_per_s[tetrahedron].powi(2).recip();
+        let across = squared_slowness / self.anisotropy_ratio;
+        Metric { fibre: &self.fibres[tetrahedron], across_s2_per_mm2: across, along_less_across_s2_per_mm2: squared_slowness - across }
     }
 
     /// $v^2\, a \cdot D b$, the product of two slownesses (per mm) in the metric of the eikonal equation.
@@ -71,5 +71,19 @@ impl Conduction {
         let fibre = &self.fibres[tetrahedron];
         let rho = self.anisotropy_ratio;
         (rho * a.dot(b) + (1.0 - rho) * fibre.dot(a) * fibre.dot(b)) * self.speed_mm_per_s[tetrahedron].powi(2)
+    }
+}
+
+/// $D^{-1}/v^2 = (\rho^{-1} I + (1 - \rho^{-1}) f f^T)/v^2$.
+pub(super) struct Metric<'a> {
+    fibre: &'a Vector3<f64>,
+    across_s2_per_mm2: f64,
+    along_less_across_s2_per_mm2: f64,
+}
+
+impl Metric<'_> {
+    /// Squared travel time along a straight line, s².
+    pub(super) fn squared_s2(&self, offset_mm: &Vector3<f64>) -> f64 {
+        self.across_s2_per_mm2 * offset_mm.norm_squared() + self.along_less_across_s2_per_mm2 * self.fibre.dot(offset_mm).powi(2)
     }
 }

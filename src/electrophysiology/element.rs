@@ -10,18 +10,24 @@
 use nalgebra::Vector3;
 
 use super::Conduction;
+use crate::mesh::TetMesh;
 
 /// Place of the pair (i, j) of corners among the six edges.
 const EDGE: [[usize; 4]; 4] = [[usize::MAX, 0, 1, 2], [0, usize::MAX, 3, 4], [1, 3, usize::MAX, 5], [2, 4, 5, usize::MAX]];
 
-/// What the local problem needs of a tetrahedron, in units of time only.
+/// What nearly every local problem of a tetrahedron needs, in one cache line.
 #[derive(Debug, Clone, Copy)]
+#[repr(align(64))]
 pub(super) struct Element {
     /// $v^2\,\nabla\varphi_i\cdot D\nabla\varphi_j$ an edge, 1/s²; the diagonal is minus the sum of its row.
     coupling_per_s2: [f64; 6],
-    /// Squared travel time along an edge, s².
-    edge_s2: [f64; 6],
+    /// The vertices at its corners.
+    pub(super) vertices: [u32; 4],
 }
+
+/// Squared travel times along the edges of a tetrahedron, s²: what fronts along its edges need besides.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Edges([f64; 6]);
 
 /// An arrival at a corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,56 +57,60 @@ struct Side {
 }
 
 impl Element {
-    pub(super) fn new(corners_mm: [Vector3<f64>; 4], conduction: &Conduction, tetrahedron: usize) -> Self {
-        let gradients = shape_gradients(&corners_mm);
-        let mut element = Self { coupling_per_s2: [0.0; 6], edge_s2: [0.0; 6] };
+    pub(super) fn new(mesh: &TetMesh, conduction: &Conduction, tetrahedron: usize) -> Self {
+        let gradients = shape_gradients(&mesh.corners_mm(tetrahedron));
+        let vertices = mesh.tetrahedra()[tetrahedron].map(|vertex| vertex as u32);
+        let mut coupling_per_s2 = [0.0; 6];
         for i in 0..3 {
             for j in i + 1..4 {
-                let edge = EDGE[i][j];
-                element.coupling_per_s2[edge] = conduction.flux(tetrahedron, &gradients[i], &gradients[j]);
-                element.edge_s2[edge] = conduction.squared_travel_time_s2(tetrahedron, &(corners_mm[j] - corners_mm[i]));
+                coupling_per_s2[EDGE[i][j]] = conduction.flux(tetrahedron, &gradients[i], &gradients[j]);
             }
         }
-        element
+        Self { coupling_per_s2, vertices }
     }
 
     /// The earliest arrival at corner `target` through points that use corner `from`, if it beats `bound_s`. Infinite times are
     /// corners not reached yet.
-    pub(super) fn arrive(&self, times_s: &[f64; 4], target: usize, from: usize, bound_s: f64) -> Option<Arrival> {
+    pub(super) fn arrive(&self, edges: &Edges, times_s: &[f64; 4], target: usize, from: usize, bound_s: f64) -> Option<Arrival> {
+        if self.is_within_height(times_s, target, bound_s) {
+            return None;
+        }
         // Relative to the corner the front comes from, so that large clock times cost no digits.
         let bound_s = bound_s - times_s[from];
         let [a, b] = remaining(target, from).map(|corner| Side { corner, delay_s: times_s[corner] - times_s[from] });
-        if bound_s <= a.delay_s.min(b.delay_s).min(0.0) {
-            return None;
-        }
         let arrival = match (a.delay_s.is_finite(), b.delay_s.is_finite()) {
             (true, true) => match self.through_face(target, from, a, b, bound_s) {
                 Inside::Arrival(arrival) => Some(arrival),
                 Inside::TooLate => None,
                 Inside::Misses { opposite_a, opposite_b } => {
-                    let along_a = opposite_b.then(|| self.through_edge(target, from, a, bound_s)).flatten();
-                    let along_b = opposite_a.then(|| self.through_edge(target, from, b, bound_s)).flatten();
+                    let along_a = opposite_b.then(|| edges.through_edge(target, from, a, bound_s)).flatten();
+                    let along_b = opposite_a.then(|| edges.through_edge(target, from, b, bound_s)).flatten();
                     match (along_a, along_b) {
                         (Some(first), Some(second)) => Some(if second.time_s < first.time_s { second } else { first }),
                         (first, second) => first.or(second),
                     }
                 }
             },
-            (true, false) => self.through_edge(target, from, a, bound_s),
-            (false, true) => self.through_edge(target, from, b, bound_s),
-            (false, false) => Some(self.through_corner(target, from)),
+            (true, false) => edges.through_edge(target, from, a, bound_s),
+            (false, true) => edges.through_edge(target, from, b, bound_s),
+            (false, false) => Some(edges.through_corner(target, from)),
         };
         arrival
             .filter(|arrival| arrival.time_s < bound_s)
             .map(|arrival| Arrival { time_s: times_s[from] + arrival.time_s, weights: arrival.weights })
     }
 
-    fn coupling(&self, i: usize, j: usize) -> f64 {
-        self.coupling_per_s2[EDGE[i][j]]
+    /// Whether the bound leaves less time after the earliest corner of the face than the way from its plane takes, $1/\sqrt{k_{ww}}$.
+    fn is_within_height(&self, times_s: &[f64; 4], target: usize, bound_s: f64) -> bool {
+        let others = [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]][target];
+        let [i, j, k] = others;
+        let left_s = bound_s - times_s[i].min(times_s[j]).min(times_s[k]);
+        let k_ww = -(self.coupling(target, i) + self.coupling(target, j) + self.coupling(target, k));
+        left_s <= 0.0 || left_s * left_s * k_ww <= 1.0
     }
 
-    fn squared(&self, i: usize, j: usize) -> f64 {
-        self.edge_s2[EDGE[i][j]]
+    fn coupling(&self, i: usize, j: usize) -> f64 {
+        self.coupling_per_s2[EDGE[i][j]]
     }
 
     /// Through the inside of the face (from, a, b).
@@ -131,6 +141,15 @@ impl Element {
         weights[a.corner] = m_a / root;
         weights[b.corner] = m_b / root;
         Inside::Arrival(Arrival { time_s, weights })
+    }
+}
+
+impl Edges {
+    pub(super) fn new(mesh: &TetMesh, conduction: &Conduction, tetrahedron: usize) -> Self {
+        let corners_mm = mesh.corners_mm(tetrahedron);
+        let metric = conduction.metric(tetrahedron);
+        let squared_s2 = |[i, j]: [usize; 2]| metric.squared_s2(&(corners_mm[j] - corners_mm[i]));
+        Self([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]].map(squared_s2))
     }
 
     /// Through the edge (from, a), or through the corner `from` if that is earlier, unless the bound cannot be beaten. (The way through the
@@ -169,6 +188,10 @@ impl Element {
         weights[from] = 1.0;
         Arrival { time_s: self.squared(target, from).sqrt(), weights }
     }
+
+    fn squared(&self, i: usize, j: usize) -> f64 {
+        self.0[EDGE[i][j]]
+    }
 }
 
 /// The two corners that are neither `i` nor `j`.
@@ -190,6 +213,11 @@ fn shape_gradients(corners_mm: &[Vector3<f64>; 4]) -> [Vector3<f64>; 4] {
 mod tests {
     use super::*;
 
+    fn tetrahedron() -> (TetMesh, [Vector3<f64>; 4]) {
+        let corners = [[0.1, 0.0, 0.0], [2.0, 0.2, 0.1], [0.3, 1.7, -0.2], [0.6, 0.7, 1.4]].map(Vector3::from);
+        (TetMesh::new(corners.to_vec(), vec![[0, 1, 2, 3]]).unwrap(), corners)
+    }
+
     /// The minimum over the whole face by brute force.
     fn earliest_by_search(corners: &[Vector3<f64>; 4], times: &[f64; 4], conduction: &Conduction) -> f64 {
         let count = 400;
@@ -207,14 +235,14 @@ mod tests {
 
     #[test]
     fn the_local_update_is_the_minimum_over_the_face() {
-        let corners = [[0.1, 0.0, 0.0], [2.0, 0.2, 0.1], [0.3, 1.7, -0.2], [0.6, 0.7, 1.4]].map(Vector3::from);
+        let (mesh, corners) = tetrahedron();
         for sample in 0..200 {
             let angle = f64::from(sample);
             let fibre = Vector3::new(angle.sin(), (1.7 * angle).cos(), (0.6 * angle).sin());
             let conduction = Conduction::new(vec![500.0], [1.0, 0.25, 0.11][sample as usize % 3], vec![fibre]).unwrap();
-            let element = Element::new(corners, &conduction, 0);
+            let (element, edges) = (Element::new(&mesh, &conduction, 0), Edges::new(&mesh, &conduction, 0));
             let times = [0.0, 2e-3 * (2.3 * angle).sin(), 3e-3 * (3.1 * angle).cos(), f64::INFINITY];
-            let arrivals = (0..3).filter_map(|from| element.arrive(&times, 3, from, f64::MAX));
+            let arrivals = (0..3).filter_map(|from| element.arrive(&edges, &times, 3, from, f64::MAX));
             let earliest = arrivals.map(|arrival| arrival.time_s).fold(f64::INFINITY, f64::min);
             let searched = earliest_by_search(&corners, &times, &conduction);
             assert!((0.0..2e-7).contains(&(searched - earliest + 1e-14)), "sample {sample}: {earliest} s, by search {searched} s");
@@ -223,11 +251,11 @@ mod tests {
 
     #[test]
     fn the_weights_reproduce_the_arrival() {
-        let corners = [[0.1, 0.0, 0.0], [2.0, 0.2, 0.1], [0.3, 1.7, -0.2], [0.6, 0.7, 1.4]].map(Vector3::from);
+        let (mesh, corners) = tetrahedron();
         let conduction = Conduction::new(vec![500.0], 0.2, vec![Vector3::new(1.0, 2.0, 0.5)]).unwrap();
-        let element = Element::new(corners, &conduction, 0);
+        let (element, edges) = (Element::new(&mesh, &conduction, 0), Edges::new(&mesh, &conduction, 0));
         for times in [[0.0, 1e-4, 2e-4, 0.0], [0.0, 2e-3, 1e-4, 0.0], [0.0, 3e-3, 4e-3, 0.0]] {
-            let arrival = element.arrive(&times, 3, 0, f64::MAX).unwrap();
+            let arrival = element.arrive(&edges, &times, 3, 0, f64::MAX).unwrap();
             let through: Vector3<f64> = (0..3).map(|i| corners[i] * arrival.weights[i]).sum();
             let start: f64 = (0..3).map(|i| times[i] * arrival.weights[i]).sum();
             let expected = start + conduction.travel_time_s(0, &(corners[3] - through));

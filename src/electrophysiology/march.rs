@@ -7,7 +7,9 @@
 
 use std::collections::BTreeSet;
 
-use super::element::Element;
+use nalgebra::Vector3;
+
+use super::element::{Edges, Element};
 use super::front::Front;
 use super::ray::{Holders, trace};
 use super::{ActivationError, ActivationMap, ActivationSettings, Conduction, Onset, Stencil};
@@ -33,6 +35,7 @@ enum Source {
 pub(super) struct March<'a> {
     mesh: &'a TetMesh,
     elements: Vec<Element>,
+    edges: Vec<Edges>,
     holders: VertexHolders,
     times_s: Vec<f64>,
     sources: Vec<Source>,
@@ -45,7 +48,8 @@ impl<'a> March<'a> {
         let count = mesh.vertex_count();
         Self {
             mesh,
-            elements: (0..mesh.tetrahedron_count()).map(|t| Element::new(mesh.corners_mm(t), conduction, t)).collect(),
+            elements: (0..mesh.tetrahedron_count()).map(|t| Element::new(mesh, conduction, t)).collect(),
+            edges: (0..mesh.tetrahedron_count()).map(|t| Edges::new(mesh, conduction, t)).collect(),
             holders: VertexHolders::new(mesh),
             times_s: vec![f64::INFINITY; count],
             sources: vec![Source::Nowhere; count],
@@ -61,7 +65,7 @@ impl<'a> March<'a> {
                 self.reach(vertex, time_s, Source::Onset(onset as u32));
             }
         }
-        let length_mm = settings.ray_length_edges * mean_edge_mm(self.mesh);
+        let length_mm = settings.ray_length_mm.unwrap_or_else(|| 2.0 * (diagonal_mm(self.mesh) * mean_edge_mm(self.mesh)).sqrt());
         if length_mm > 0.0 {
             self.cast_rays(conduction, onsets, length_mm);
         }
@@ -123,24 +127,25 @@ impl<'a> March<'a> {
         self.visits[vertex] = self.visits[vertex].saturating_add(1);
         for holder in self.holders.range(vertex) {
             let (tetrahedron, from) = self.holders.entries[holder];
-            let vertices = &self.mesh.tetrahedra()[tetrahedron as usize];
-            let element = self.elements[tetrahedron as usize];
+            let vertices = self.elements[tetrahedron as usize].vertices.map(|vertex| vertex as usize);
+            let mut times_s = vertices.map(|vertex| self.times_s[vertex]);
             for target in (0..4).filter(|&corner| corner != from as usize) {
-                let times_s = vertices.map(|v| self.times_s[v]);
-                let bound_s = self.time_to_beat_s(vertices[target]);
-                if let Some(arrival) = element.arrive(&times_s, target, from as usize, bound_s) {
+                let bound_s = self.time_to_beat_s(vertices[target], times_s[target]);
+                let (element, edges) = (&self.elements[tetrahedron as usize], &self.edges[tetrahedron as usize]);
+                if let Some(arrival) = element.arrive(edges, &times_s, target, from as usize, bound_s) {
+                    times_s[target] = arrival.time_s;
                     self.reach(vertices[target], arrival.time_s, Source::Tetrahedron(tetrahedron));
                 }
             }
         }
     }
 
-    fn time_to_beat_s(&self, vertex: usize) -> f64 {
-        let time_s = self.times_s[vertex];
+    fn time_to_beat_s(&self, vertex: usize, time_s: f64) -> f64 {
         if !time_s.is_finite() {
             return f64::MAX;
         }
-        let unchanged = UNCHANGED * f64::from(self.visits[vertex].saturating_sub(PATIENCE)).exp2();
+        let doublings = self.visits[vertex].saturating_sub(PATIENCE).min(60);
+        let unchanged = UNCHANGED * (1_u64 << doublings) as f64;
         time_s - unchanged * time_s.abs()
     }
 
@@ -171,12 +176,18 @@ impl<'a> March<'a> {
         let times_s = corners.map(|v| self.times_s[v]);
         let target = corners.iter().position(|&v| v == vertex)?;
         let face = [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]][target];
-        let arrivals = face.iter().filter_map(|&from| self.elements[tetrahedron].arrive(&times_s, target, from, f64::MAX));
+        let arrivals =
+            face.iter().filter_map(|&from| self.elements[tetrahedron].arrive(&self.edges[tetrahedron], &times_s, target, from, f64::MAX));
         let arrival = arrivals.min_by(|a, b| a.time_s.total_cmp(&b.time_s))?;
         let carried_s: f64 = face.iter().map(|&corner| arrival.weights[corner] * (times_s[corner] - arrival.time_s)).sum();
         let weights = face.map(|corner| arrival.weights[corner]);
         Some(Stencil::Arrival { tetrahedron, vertices: face.map(|corner| corners[corner]), weights, travel_s: -carried_s })
     }
+}
+
+fn diagonal_mm(mesh: &TetMesh) -> f64 {
+    let corner = |start: f64, pick: fn(f64, f64) -> f64| mesh.vertices_mm().iter().fold(Vector3::repeat(start), |c, p| c.zip_map(p, pick));
+    (corner(f64::NEG_INFINITY, f64::max) - corner(f64::INFINITY, f64::min)).norm()
 }
 
 fn mean_edge_mm(mesh: &TetMesh) -> f64 {
