@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use cardiotwin::electrophysiology::{ActivationSettings, Conduction, Onset, activate_with};
-use cardiotwin::mesh::io::read_mesh_file;
+use cardiotwin::mesh::io::{Numbering, read_mesh_file};
 use nalgebra::Vector3;
 
 /// The same first-order problem on the same mesh has one answer; this is the answer of a code that shares nothing with ours.
@@ -21,7 +21,7 @@ fn times_agree_with_a_fast_iterative_method() {
     let fibre = |(phi, theta): (&f64, &f64)| Vector3::new(phi.cos() * theta.sin(), phi.sin() * theta.sin(), theta.cos());
     let fibres: Vec<_> = angles("Phi").zip(angles("Theta")).map(fibre).collect();
     let conduction = Conduction::new(vec![3.0; fibres.len()], 1.0 / 9.0, fibres).unwrap();
-    let mesh = input.to_tet_mesh(1.0).unwrap();
+    let mesh = input.to_tet_mesh(1.0, Numbering::Free).unwrap();
     let seeds = std::fs::read_to_string(folder.join("seeds.txt")).unwrap();
     for (set, line) in seeds.lines().enumerate() {
         let onsets: Vec<_> = line.split_whitespace().map(|vertex| Onset { vertex: vertex.parse().unwrap(), time_s: 0.0 }).collect();

@@ -4,7 +4,7 @@
 use cardiotwin::anatomy::mesher::{MesherSettings, mesh_inside};
 use cardiotwin::anatomy::{Anatomy, AnatomySettings};
 use cardiotwin::electrophysiology::{
-    ActivationError, ActivationSettings, Conduction, Onset, Stencil, activate, activate_with, nearest_vertex,
+    ActivationError, ActivationSettings, Conduction, Onset, Rhythm, Stencil, activate, activate_beats, activate_with, nearest_vertex,
 };
 use cardiotwin::mesh::TetMesh;
 use cardiotwin::phantom::IdealisedLv;
@@ -263,6 +263,65 @@ fn the_tangent_of_a_uniform_speed_up_is_minus_the_travel_time() {
     assert!(later.iter().all(|rate| (rate - 1.0).abs() < 1e-9));
 }
 
+const APD_S: f64 = 0.3;
+
+fn rhythm(mesh: &TetMesh, conduction: &Conduction, stimuli: &[Onset], refractory_s: &[f64]) -> Rhythm {
+    activate_beats(mesh, conduction, stimuli, refractory_s, &ActivationSettings::default()).unwrap()
+}
+
+#[test]
+fn beats_repeat_a_period_later_and_td_carries_over() {
+    let anatomy = lv(6.0);
+    let (conduction, onsets) = lv_conduction(&anatomy);
+    let stimuli: Vec<Onset> =
+        [1.6, 0.0, 0.8].iter().flat_map(|later_s| onsets.map(|o| Onset { time_s: o.time_s + later_s, ..o })).collect();
+    let rhythm = rhythm(&anatomy.mesh, &conduction, &stimuli, &vec![APD_S; anatomy.mesh.vertex_count()]);
+    assert_eq!((rhythm.beats().len(), rhythm.blocked_stimuli()), (3, &[][..]));
+    let first = activate(&anatomy.mesh, &conduction, &onsets).unwrap();
+    for (beat, map) in rhythm.beats().iter().enumerate() {
+        // The march takes a time as settled that falls by less than a share of it: a nanosecond here, far below any error of the mesh.
+        assert!(map.times_s().iter().zip(first.times_s()).all(|(t, t0)| (t - t0 - 0.8 * beat as f64).abs() < 1e-9));
+    }
+    let td_s = rhythm.beats()[1].times_s()[7];
+    assert_eq!(rhythm.last_depolarisation_s(7, td_s + 0.1), Some(td_s));
+    assert_eq!(rhythm.last_depolarisation_s(7, 0.0), None);
+}
+
+/// The extra stimulus is given where the first beat begins: at 0.9 APD nothing follows, at 1.1 APD a beat of its own.
+#[test]
+fn a_stimulus_in_the_refractory_period_does_nothing() {
+    let anatomy = lv(6.0);
+    let (conduction, [onset, _]) = lv_conduction(&anatomy);
+    let refractory_s = vec![APD_S; anatomy.mesh.vertex_count()];
+    let with_extra = |delay_s: f64| {
+        let times_s = [onset.time_s, onset.time_s + delay_s, onset.time_s + 0.8];
+        rhythm(&anatomy.mesh, &conduction, &times_s.map(|time_s| Onset { time_s, ..onset }), &refractory_s)
+    };
+    let (early, late) = (with_extra(0.9 * APD_S), with_extra(1.1 * APD_S));
+    assert_eq!((early.beats().len(), early.blocked_stimuli()), (2, &[1][..]));
+    assert_eq!((late.beats().len(), late.blocked_stimuli()), (3, &[][..]));
+    let alone = activate(&anatomy.mesh, &conduction, &[Onset { time_s: onset.time_s + 1.1 * APD_S, ..onset }]).unwrap();
+    assert_eq!(late.beats()[1].times_s(), alone.times_s(), "nothing waits where the action potential lasts equally long everywhere");
+}
+
+/// Beyond x = 5 mm tissue recovers after 0.5 s; the second beat, 0.4 s after the first, waits for it. Its td there moves with the first
+/// beat and the refractory time, before with its own stimulus.
+#[test]
+fn a_front_waits_where_recovery_is_late() {
+    let mesh = box_mesh([10, 3, 3], 1.0);
+    let conduction = uniform(&mesh, 600.0, 0.25, Vector3::x());
+    let is_late = |vertex: usize| mesh.vertices_mm()[vertex].x > 5.0;
+    let refractory_s: Vec<f64> = (0..mesh.vertex_count()).map(|v| if is_late(v) { 0.5 } else { APD_S }).collect();
+    let rhythm = rhythm(&mesh, &conduction, &[AT_ORIGIN[0], Onset { vertex: 0, time_s: 0.4 }], &refractory_s);
+    let tangents = rhythm.tangents_s(&[], &[0.2, 1.0], &vec![3.0; mesh.vertex_count()]);
+    let [first, second] = rhythm.beats() else { unreachable!("two stimuli far apart are two beats") };
+    for vertex in 0..mesh.vertex_count() {
+        let (later_s, rate) = if is_late(vertex) { (0.5, 3.2) } else { (0.4, 1.0) };
+        assert!((second.times_s()[vertex] - first.times_s()[vertex] - later_s).abs() < 1e-12, "vertex {vertex}");
+        assert!((tangents[0][vertex] - 0.2).abs() < 1e-12 && (tangents[1][vertex] - rate).abs() < 1e-12, "vertex {vertex}");
+    }
+}
+
 #[test]
 fn bad_input_is_named() {
     let mesh = box_mesh([2, 1, 1], 1.0);
@@ -279,6 +338,10 @@ fn bad_input_is_named() {
     assert_eq!(Conduction::new(vec![1.0, 1.0], 0.2, flat), Err(ActivationError::BadFibre { tetrahedron: 1 }));
     let few = Conduction::new(vec![1.0, 1.0], 0.2, fibres).unwrap();
     assert!(matches!(activate(&mesh, &few, &AT_ORIGIN), Err(ActivationError::FieldCount { tetrahedron_count: 12, .. })));
+    let again =
+        |refractory_s: &[f64]| activate_beats(&mesh, &conduction, &AT_ORIGIN, refractory_s, &ActivationSettings::default()).unwrap_err();
+    assert_eq!(again(&[0.3; 11]), ActivationError::RefractoryCount { refractory_count: 11, vertex_count: 12 });
+    assert_eq!(again(&[0.0; 12]), ActivationError::BadRefractoryTime { vertex: 0, refractory_s: 0.0 });
     // Two boxes that do not touch.
     let far = mesh.vertices_mm().iter().map(|p| p + Vector3::repeat(10.0));
     let vertices = mesh.vertices_mm().iter().copied().chain(far).collect();

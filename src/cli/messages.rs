@@ -102,7 +102,8 @@ fn image_source(images: &ImageSource) -> String {
 fn model(plan: &Plan) -> String {
     let onset = match plan.model.onset.place {
         OnsetSite::Sites => format!("{} site(s)", plan.model.onset.sites.len()),
-        place => place.word().to_string(),
+        place if plan.model.onset.sites.is_empty() => place.word().to_string(),
+        place => format!("{} and {} site(s)", place.word(), plan.model.onset.sites.len()),
     };
     let beats = match plan.simulation.beats {
         Beats::Count(count) => format!("{count} beat(s)"),

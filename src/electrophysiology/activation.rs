@@ -34,6 +34,8 @@ pub enum Stencil {
         /// The tetrahedra it crosses.
         legs: Vec<RayLeg>,
     },
+    /// A front waited here until the vertex had recovered from the beat before.
+    Recovery,
     /// td = Σ wᵢ tdᵢ + travel time inside a tetrahedron.
     Arrival {
         /// The tetrahedron the front came through.
@@ -84,12 +86,12 @@ pub fn activate_with(
 ) -> Result<ActivationMap, ActivationError> {
     check(mesh, conduction, onsets)?;
     let mut march = March::new(mesh, conduction);
-    march.start(conduction, onsets, settings);
+    march.start(conduction, onsets, &(0..onsets.len()).collect::<Vec<_>>(), settings);
     march.run();
     march.finish(conduction, onsets)
 }
 
-fn check(mesh: &TetMesh, conduction: &Conduction, onsets: &[Onset]) -> Result<(), ActivationError> {
+pub(super) fn check(mesh: &TetMesh, conduction: &Conduction, onsets: &[Onset]) -> Result<(), ActivationError> {
     let (speed_count, fibre_count) = (conduction.speed_mm_per_s().len(), conduction.fibres().len());
     let (vertex_count, tetrahedron_count) = (mesh.vertex_count(), mesh.tetrahedron_count());
     if speed_count != tetrahedron_count {
@@ -137,35 +139,46 @@ impl ActivationMap {
     /// $\dot t_d = \sum_i w_i\,\dot t_{d,i} - t_\mathrm{travel}\,\dot{\ln v}$ exactly, wherever td is differentiable at all (it has a kink
     /// where two fronts arrive together). Rates that are missing count as zero.
     pub fn tangent_s(&self, log_speed_rate: &[f64], onset_rate_s: &[f64]) -> Vec<f64> {
-        let rate = |rates: &[f64], entry: usize| rates.get(entry).copied().unwrap_or(0.0);
-        let mut order: Vec<usize> = (0..self.times_s.len()).collect();
-        order.sort_unstable_by(|&a, &b| self.times_s[a].total_cmp(&self.times_s[b]));
-        let mut tangent_s = vec![0.0_f64; self.times_s.len()];
-        // Nearly all stencils look back in time, so the first sweep is nearly always final; the others settle the rest.
-        for _ in 0..TANGENT_SWEEP_LIMIT {
-            let (mut change_s, mut largest_s) = (0.0_f64, 0.0_f64);
-            for &vertex in &order {
-                let value_s = match &self.stencils[vertex] {
-                    Stencil::Onset { onset } => rate(onset_rate_s, *onset),
-                    Stencil::Ray { onset, legs } => {
-                        let slowing_s: f64 = legs.iter().map(|leg| leg.travel_s * rate(log_speed_rate, leg.tetrahedron)).sum();
-                        rate(onset_rate_s, *onset) - slowing_s
-                    }
-                    Stencil::Arrival { tetrahedron, vertices, weights, travel_s } => {
-                        let carried_s: f64 = vertices.iter().zip(weights).map(|(&v, w)| w * tangent_s[v]).sum();
-                        carried_s - travel_s * rate(log_speed_rate, *tetrahedron)
-                    }
-                };
-                change_s = change_s.max((value_s - tangent_s[vertex]).abs());
-                largest_s = largest_s.max(value_s.abs());
-                tangent_s[vertex] = value_s;
-            }
-            if change_s <= 1e-15 * largest_s {
-                break;
-            }
-        }
-        tangent_s
+        tangent_s(self, log_speed_rate, onset_rate_s, &|_| 0.0)
     }
+}
+
+/// [`ActivationMap::tangent_s`] where vertices recover at times that change at the rate `recovery_rate_s`.
+pub(super) fn tangent_s(
+    map: &ActivationMap,
+    log_speed_rate: &[f64],
+    onset_rate_s: &[f64],
+    recovery_rate_s: &dyn Fn(usize) -> f64,
+) -> Vec<f64> {
+    let rate = |rates: &[f64], entry: usize| rates.get(entry).copied().unwrap_or(0.0);
+    let mut order: Vec<usize> = (0..map.times_s.len()).collect();
+    order.sort_unstable_by(|&a, &b| map.times_s[a].total_cmp(&map.times_s[b]));
+    let mut tangent_s = vec![0.0_f64; map.times_s.len()];
+    // Nearly all stencils look back in time, so the first sweep is nearly always final; the others settle the rest.
+    for _ in 0..TANGENT_SWEEP_LIMIT {
+        let (mut change_s, mut largest_s) = (0.0_f64, 0.0_f64);
+        for &vertex in &order {
+            let value_s = match &map.stencils[vertex] {
+                Stencil::Onset { onset } => rate(onset_rate_s, *onset),
+                Stencil::Recovery => recovery_rate_s(vertex),
+                Stencil::Ray { onset, legs } => {
+                    let slowing_s: f64 = legs.iter().map(|leg| leg.travel_s * rate(log_speed_rate, leg.tetrahedron)).sum();
+                    rate(onset_rate_s, *onset) - slowing_s
+                }
+                Stencil::Arrival { tetrahedron, vertices, weights, travel_s } => {
+                    let carried_s: f64 = vertices.iter().zip(weights).map(|(&v, w)| w * tangent_s[v]).sum();
+                    carried_s - travel_s * rate(log_speed_rate, *tetrahedron)
+                }
+            };
+            change_s = change_s.max((value_s - tangent_s[vertex]).abs());
+            largest_s = largest_s.max(value_s.abs());
+            tangent_s[vertex] = value_s;
+        }
+        if change_s <= 1e-15 * largest_s {
+            break;
+        }
+    }
+    tangent_s
 }
 
 /// The vertex nearest to a point, the first of equals; `None` only for an empty list.

@@ -25,6 +25,12 @@ pub enum ActivationError {
     /// Speeds, fibres and tetrahedra differ in number.
     #[error("{speed_count} speeds and {fibre_count} fibres for {tetrahedron_count} tetrahedra; one of each a tetrahedron is needed")]
     FieldCount { speed_count: usize, fibre_count: usize, tetrahedron_count: usize },
+    /// Refractory times and vertices differ in number.
+    #[error("{refractory_count} refractory times for {vertex_count} vertices; one a vertex is needed")]
+    RefractoryCount { refractory_count: usize, vertex_count: usize },
+    /// A refractory time is zero, negative or not finite.
+    #[error("the refractory time of vertex {vertex} is {refractory_s} s; it must be positive and finite")]
+    BadRefractoryTime { vertex: usize, refractory_s: f64 },
     /// A part of the mesh is not connected to any onset.
     #[error("{unreached_count} vertices (the first is {vertex}) are not connected to any onset; the mesh is in pieces")]
     Unreachable { vertex: usize, unreached_count: usize },

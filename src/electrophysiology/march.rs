@@ -28,6 +28,7 @@ enum Source {
     Nowhere,
     Onset(u32),
     Ray(u32),
+    Recovery,
     Tetrahedron(u32),
 }
 
@@ -40,6 +41,8 @@ pub(super) struct March<'a> {
     times_s: Vec<f64>,
     sources: Vec<Source>,
     visits: Vec<u8>,
+    /// Time before which a vertex cannot be depolarised, s.
+    recovered_s: Vec<f64>,
     front: Front,
 }
 
@@ -54,20 +57,24 @@ impl<'a> March<'a> {
             times_s: vec![f64::INFINITY; count],
             sources: vec![Source::Nowhere; count],
             visits: vec![0; count],
+            recovered_s: vec![f64::NEG_INFINITY; count],
             front: Front::new(count),
         }
     }
 
-    /// Puts the onsets on the front, and around every single one what straight rays reach.
-    pub(super) fn start(&mut self, conduction: &Conduction, onsets: &[Onset], settings: &ActivationSettings) {
-        for (onset, &Onset { vertex, time_s }) in onsets.iter().enumerate() {
-            if time_s < self.times_s[vertex] {
-                self.reach(vertex, time_s, Source::Onset(onset as u32));
-            }
+    /// Lets no vertex be depolarised before it has recovered.
+    pub(super) fn hold_until(&mut self, recovered_s: &[f64]) {
+        self.recovered_s.copy_from_slice(recovered_s);
+    }
+
+    /// Puts the `chosen` ones of the onsets on the front, and around every single one what straight rays reach.
+    pub(super) fn start(&mut self, conduction: &Conduction, onsets: &[Onset], chosen: &[usize], settings: &ActivationSettings) {
+        for &onset in chosen {
+            self.reach(onsets[onset].vertex, onsets[onset].time_s, Source::Onset(onset as u32));
         }
         let length_mm = settings.ray_length_mm.unwrap_or_else(|| 2.0 * (diagonal_mm(self.mesh) * mean_edge_mm(self.mesh)).sqrt());
         if length_mm > 0.0 {
-            self.cast_rays(conduction, onsets, length_mm);
+            self.cast_rays(conduction, onsets, chosen, length_mm);
         }
     }
 
@@ -78,26 +85,30 @@ impl<'a> March<'a> {
         }
     }
 
-    fn reach(&mut self, vertex: usize, time_s: f64, source: Source) {
-        self.times_s[vertex] = time_s;
-        self.sources[vertex] = source;
-        self.front.advance(vertex, time_s);
+    /// Gives a vertex a time if it has none as early; not before it has recovered.
+    fn reach(&mut self, vertex: usize, arrival_s: f64, source: Source) {
+        let recovered_s = self.recovered_s[vertex];
+        let (time_s, source) = if arrival_s < recovered_s { (recovered_s, Source::Recovery) } else { (arrival_s, source) };
+        if time_s < self.times_s[vertex] {
+            self.times_s[vertex] = time_s;
+            self.sources[vertex] = source;
+            self.front.advance(vertex, time_s);
+        }
     }
 
     /// Starts the vertices around every single onset by straight rays.
-    fn cast_rays(&mut self, conduction: &Conduction, onsets: &[Onset], length_mm: f64) {
+    fn cast_rays(&mut self, conduction: &Conduction, onsets: &[Onset], chosen: &[usize], length_mm: f64) {
         let mut is_onset = vec![false; self.mesh.vertex_count()];
-        onsets.iter().for_each(|onset| is_onset[onset.vertex] = true);
-        for (onset, &Onset { vertex: start, time_s }) in onsets.iter().enumerate() {
+        chosen.iter().for_each(|&onset| is_onset[onsets[onset].vertex] = true);
+        for &onset in chosen {
+            let Onset { vertex: start, time_s } = onsets[onset];
             let is_beside = |(t, _): &(u32, u8)| self.mesh.tetrahedra()[*t as usize].iter().any(|&v| v != start && is_onset[v]);
             if self.holders.of(start).iter().any(is_beside) {
                 continue;
             }
             for vertex in self.vertices_around(start, length_mm) {
-                let Some(legs) = trace(self.mesh, &self.holders, conduction, start, vertex) else { continue };
-                let arrival_s = time_s + legs.iter().map(|leg| leg.travel_s).sum::<f64>();
-                if arrival_s < self.times_s[vertex] {
-                    self.reach(vertex, arrival_s, Source::Ray(onset as u32));
+                if let Some(legs) = trace(self.mesh, &self.holders, conduction, start, vertex) {
+                    self.reach(vertex, time_s + legs.iter().map(|leg| leg.travel_s).sum::<f64>(), Source::Ray(onset as u32));
                 }
             }
         }
@@ -133,8 +144,8 @@ impl<'a> March<'a> {
                 let bound_s = self.time_to_beat_s(vertices[target], times_s[target]);
                 let (element, edges) = (&self.elements[tetrahedron as usize], &self.edges[tetrahedron as usize]);
                 if let Some(arrival) = element.arrive(edges, &times_s, target, from as usize, bound_s) {
-                    times_s[target] = arrival.time_s;
                     self.reach(vertices[target], arrival.time_s, Source::Tetrahedron(tetrahedron));
+                    times_s[target] = self.times_s[vertices[target]];
                 }
             }
         }
@@ -162,6 +173,7 @@ impl<'a> March<'a> {
     fn stencil_of(&self, conduction: &Conduction, onsets: &[Onset], vertex: usize) -> Option<Stencil> {
         match self.sources[vertex] {
             Source::Nowhere => None,
+            Source::Recovery => Some(Stencil::Recovery),
             Source::Onset(onset) => Some(Stencil::Onset { onset: onset as usize }),
             Source::Ray(onset) => {
                 let legs = trace(self.mesh, &self.holders, conduction, onsets[onset as usize].vertex, vertex)?;

@@ -1,5 +1,6 @@
 //! The coupled heart: parameters, model, step, beat and observables, \[Billet2009\] §2.
 
+mod activation_times;
 mod base_motion;
 mod beat_deformation;
 #[cfg(test)]
@@ -23,6 +24,7 @@ mod step;
 #[cfg(test)]
 mod two_ventricle_tests;
 
+pub use activation_times::ActivationTimes;
 pub use base_motion::BaseMotion;
 pub use beat_deformation::{BeatDeformation, PeakStrain};
 pub use deformation::{Deformation, SegmentDeformation, Strain};

@@ -14,12 +14,21 @@ pub enum OnsetSites {
     /// paraseptal), then, 10 ms later, the walls at the roots of the two papillary muscles. Right: the middle of the free wall, at the
     /// root of its anterior papillary muscle, 5 ms late. Heights along the axis and angles from the septum are chosen.
     Normal,
+    /// Left bundle branch block: the right ventricle's site alone. A heart without right ventricle is entered where that front would come
+    /// through: from the right side of the septum.
+    LeftBundleBranchBlock,
+    /// A pacing lead in the apex of the right ventricle, and nothing else.
+    RightApicalPacing,
+    /// Resynchronisation: a lead in the apex of the right ventricle, and one on the lateral wall of the left, from outside.
+    BiventricularPacing,
     /// The whole endocardium of the left ventricle at once.
     Endocardium,
     /// The vertices nearest to these points (world, mm), each with its delay (s) after `onset_time_s`.
     Points(Vec<(Vector3<f64>, f64)>),
     /// These vertices, each with its delay (s) after `onset_time_s`.
     Vertices(Vec<(usize, f64)>),
+    /// All of these: a rhythm of the heart's own, say, and pacing leads beside it.
+    Together(Vec<OnsetSites>),
 }
 
 /// A site by fraction of the way from apex to base, angle from the septal direction (degrees), and delay (s).
@@ -27,27 +36,41 @@ type Site = (f64, f64, f64);
 
 const LEFT_SITES: [Site; 5] = [(0.5, 0.0, 0.0), (0.6, 60.0, 0.0), (0.35, -60.0, 0.0), (0.4, 140.0, 0.01), (0.4, -140.0, 0.01)];
 const RIGHT_SITE: Site = (0.4, 0.0, 0.005);
+const RIGHT_APEX_HEIGHT: f64 = 0.05;
+const LATERAL_LEAD: Site = (0.6, 180.0, 0.0);
 
 impl OnsetSites {
     /// The onsets on an anatomy, at `onset_time_s` and later.
     pub(super) fn onsets(&self, anatomy: &Anatomy, parameters: &Parameters) -> Vec<Onset> {
         let start_s = parameters[Parameter::OnsetTime];
-        let sites: Vec<(usize, f64)> = match self {
+        self.sites(anatomy).into_iter().map(|(vertex, delay_s)| Onset { vertex, time_s: start_s + delay_s }).collect()
+    }
+
+    /// Vertices with their delays, s.
+    fn sites(&self, anatomy: &Anatomy) -> Vec<(usize, f64)> {
+        let at_once = |vertex: usize| (vertex, 0.0);
+        match self {
             Self::Normal => normal_sites(anatomy).collect(),
-            Self::Endocardium => anatomy.surface.vertices_with(SurfaceTag::EndocardiumLv).into_iter().map(|v| (v, 0.0)).collect(),
+            Self::LeftBundleBranchBlock => right_entry(anatomy, RIGHT_SITE.0).map(at_once).into_iter().collect(),
+            Self::RightApicalPacing => right_entry(anatomy, RIGHT_APEX_HEIGHT).map(at_once).into_iter().collect(),
+            Self::BiventricularPacing => {
+                let lateral = WallPatch::new(anatomy, SurfaceTag::Epicardium).nearest(&LATERAL_LEAD);
+                right_entry(anatomy, RIGHT_APEX_HEIGHT).into_iter().chain(lateral).map(at_once).collect()
+            }
+            Self::Endocardium => anatomy.surface.vertices_with(SurfaceTag::EndocardiumLv).into_iter().map(at_once).collect(),
             Self::Points(points) => {
                 let vertices_mm = anatomy.mesh.vertices_mm();
                 points.iter().filter_map(|(point, delay_s)| Some((nearest_vertex(vertices_mm, point)?, *delay_s))).collect()
             }
             Self::Vertices(sites) => sites.clone(),
-        };
-        sites.into_iter().map(|(vertex, delay_s)| Onset { vertex, time_s: start_s + delay_s }).collect()
+            Self::Together(parts) => parts.iter().flat_map(|part| part.sites(anatomy)).collect(),
+        }
     }
 }
 
 fn normal_sites(anatomy: &Anatomy) -> impl Iterator<Item = (usize, f64)> + '_ {
     anatomy.cavities.iter().flat_map(|&(ventricle, _)| {
-        let endocardium = Endocardium::new(anatomy, ventricle);
+        let endocardium = WallPatch::new(anatomy, ventricle.endocardium());
         let sites: Vec<(usize, f64)> = match ventricle {
             Ventricle::Left => LEFT_SITES.iter().filter_map(|site| Some((endocardium.nearest(site)?, site.2))).collect(),
             Ventricle::Right => endocardium.farthest_from_axis(RIGHT_SITE.0).map(|vertex| (vertex, RIGHT_SITE.2)).into_iter().collect(),
@@ -56,8 +79,17 @@ fn normal_sites(anatomy: &Anatomy) -> impl Iterator<Item = (usize, f64)> + '_ {
     })
 }
 
-/// Cylindrical coordinates of the endocardial vertices about the long axis.
-struct Endocardium {
+/// Where the right ventricle is depolarised at a height, or, without one, the right side of the septum.
+fn right_entry(anatomy: &Anatomy, height: f64) -> Option<usize> {
+    if anatomy.cavities.iter().any(|&(ventricle, _)| ventricle == Ventricle::Right) {
+        WallPatch::new(anatomy, SurfaceTag::EndocardiumRv).farthest_from_axis(height)
+    } else {
+        WallPatch::new(anatomy, SurfaceTag::Epicardium).nearest(&(height, 0.0, 0.0))
+    }
+}
+
+/// Cylindrical coordinates of a surface's vertices about the long axis.
+struct WallPatch {
     vertices: Vec<usize>,
     /// Height from apex (0) to base (length), angle from the septum (rad), distance from the axis (mm).
     coordinates: Vec<(f64, f64, f64)>,
@@ -65,11 +97,11 @@ struct Endocardium {
     radius_mm: f64,
 }
 
-impl Endocardium {
-    fn new(anatomy: &Anatomy, ventricle: Ventricle) -> Self {
+impl WallPatch {
+    fn new(anatomy: &Anatomy, tag: SurfaceTag) -> Self {
         let axes = &anatomy.axes;
         let across = axes.long_axis.cross(&axes.septal_direction);
-        let vertices = anatomy.surface.vertices_with(ventricle.endocardium());
+        let vertices = anatomy.surface.vertices_with(tag);
         let offset = |&vertex: &usize| anatomy.mesh.vertices_mm()[vertex] - axes.base_centre_mm;
         let length_mm = vertices.iter().map(|v| -offset(v).dot(&axes.long_axis)).fold(f64::MIN_POSITIVE, f64::max);
         let coordinates: Vec<(f64, f64, f64)> = vertices
@@ -122,13 +154,57 @@ pub(super) fn conduction(anatomy: &Anatomy, parameters: &Parameters) -> Result<C
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::anatomy::mesher::MesherSettings;
+    use crate::anatomy::{AnatomySettings, IdealisedBiventricle, Region};
+    use crate::electrophysiology::{ActivationMap, activate};
+    use crate::heart::ActivationTimes;
     use crate::heart::idealised_lv::IdealisedLv;
 
+    fn map(anatomy: &Anatomy, sites: &OnsetSites, parameters: &Parameters) -> ActivationMap {
+        activate(&anatomy.mesh, &conduction(anatomy, parameters).unwrap(), &sites.onsets(anatomy, parameters)).unwrap()
+    }
+
     fn span_s(sites: &OnsetSites, parameters: &Parameters) -> (f64, f64) {
+        map(&IdealisedLv::default().anatomy(), sites, parameters).span_s()
+    }
+
+    /// Mean td of the elements of a region.
+    fn mean_s(anatomy: &Anatomy, map: &ActivationMap, region: Region) -> f64 {
+        let times_s = map.tetrahedron_times_s(&anatomy.mesh);
+        let there: Vec<f64> = times_s.into_iter().zip(&anatomy.regions).filter(|(_, r)| **r == region).map(|(t, _)| t).collect();
+        there.iter().sum::<f64>() / there.len() as f64
+    }
+
+    /// Two leads make a block's long QRS shorter again: what resynchronisation is for.
+    #[test]
+    fn the_left_ventricle_is_late_in_left_bundle_branch_block_and_pacing_it_helps() {
+        let mesher = MesherSettings::with_edge_length_mm(7.0);
+        let anatomy = IdealisedBiventricle::default().build(&mesher, &AnatomySettings::default()).unwrap();
+        let late_s = |map: &ActivationMap| mean_s(&anatomy, map, Region::FreeWallLv) - mean_s(&anatomy, map, Region::FreeWallRv);
+        let [normal, block, apical, both] =
+            [OnsetSites::Normal, OnsetSites::LeftBundleBranchBlock, OnsetSites::RightApicalPacing, OnsetSites::BiventricularPacing]
+                .map(|sites| map(&anatomy, &sites, &Parameters::default()));
+        let total_s = |map: &ActivationMap| ActivationTimes::new(&anatomy, map).total_s;
+        assert!(late_s(&normal).abs() < 0.02, "{}", late_s(&normal));
+        assert!(late_s(&block) > 0.03 && late_s(&apical) > 0.02, "{} {}", late_s(&block), late_s(&apical));
+        assert!(total_s(&block) > 1.3 * total_s(&normal), "{} {}", total_s(&block), total_s(&normal));
+        assert!(total_s(&both) < 0.9 * total_s(&apical), "{} {}", total_s(&both), total_s(&apical));
+        let times = ActivationTimes::new(&anatomy, &block);
+        assert!(times.left_s <= times.total_s && times.right_s.unwrap() <= times.total_s);
+    }
+
+    #[test]
+    fn without_a_right_ventricle_the_block_comes_through_the_septum() {
         let anatomy = IdealisedLv::default().anatomy();
-        let onsets = sites.onsets(&anatomy, parameters);
-        let map = crate::electrophysiology::activate(&anatomy.mesh, &conduction(&anatomy, parameters).unwrap(), &onsets).unwrap();
-        map.span_s()
+        let onsets = OnsetSites::LeftBundleBranchBlock.onsets(&anatomy, &Parameters::default());
+        let [onset] = onsets.as_slice() else { unreachable!("one site") };
+        let offset_mm = anatomy.mesh.vertices_mm()[onset.vertex] - anatomy.axes.base_centre_mm;
+        let across_mm = offset_mm - anatomy.axes.long_axis * offset_mm.dot(&anatomy.axes.long_axis);
+        assert!(across_mm.normalize().dot(&anatomy.axes.septal_direction) > 0.95);
+        assert!(anatomy.surface.vertices_with(SurfaceTag::Epicardium).contains(&onset.vertex));
+        let lead = OnsetSites::Together(vec![OnsetSites::LeftBundleBranchBlock, OnsetSites::Vertices(vec![(3, 0.01)])]);
+        let start_s = Parameters::default()[Parameter::OnsetTime];
+        assert_eq!(lead.onsets(&anatomy, &Parameters::default()), [*onset, Onset { vertex: 3, time_s: start_s + 0.01 }]);
     }
 
     /// A normal left ventricle is activated in 60–90 ms [Durrer1970].

@@ -13,9 +13,15 @@ words! {
     OnsetSite {
         /// Where the Purkinje network of a normal heart ends.
         Normal = "normal",
+        /// Left bundle branch block: the right ventricle alone.
+        LeftBundleBranchBlock = "lbbb",
+        /// A pacing lead in the apex of the right ventricle alone.
+        RightApicalPacing = "rv_apical_pacing",
+        /// Leads in the apex of the right ventricle and on the lateral wall of the left.
+        BiventricularPacing = "biventricular_pacing",
         /// The whole LV endocardium.
         Endocardium = "endocardium",
-        /// The vertices nearest to `[[electrophysiology.site]]`.
+        /// The vertices nearest to `[[electrophysiology.site]]`, and nothing else.
         Sites = "sites",
     }
 }
@@ -35,7 +41,7 @@ words! {
 pub struct OnsetPlan {
     /// `onset`.
     pub place: OnsetSite,
-    /// `[[electrophysiology.site]]`: `position_mm` (world, RAS) and `delay_s` after `onset_time_s`.
+    /// `[[electrophysiology.site]]`: `position_mm` (world, RAS) and `delay_s` after `onset_time_s`; pacing leads beside any other onset.
     pub sites: Vec<(Vector3<f64>, f64)>,
 }
 
@@ -64,12 +70,8 @@ fn read_onset(table: TableReader, parameters: &mut Parameters, written: &mut BTr
     table.parameters(Section::Electrophysiology, parameters, written);
     let place = table.choice("onset", OnsetSite::Normal);
     let sites: Vec<_> = table.tables("site").into_iter().map(read_site).collect();
-    match (place, sites.is_empty()) {
-        (OnsetSite::Sites, true) => table.missing("site", "[[electrophysiology.site]] with its position_mm"),
-        (OnsetSite::Normal | OnsetSite::Endocardium, false) => {
-            table.problem("site", "is of no use with this onset", "write onset = \"sites\", or take the sites away")
-        }
-        _ => {}
+    if place == OnsetSite::Sites && sites.is_empty() {
+        table.missing("site", "[[electrophysiology.site]] with its position_mm");
     }
     table.close();
     OnsetPlan { place, sites }

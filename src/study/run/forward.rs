@@ -3,8 +3,6 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use nalgebra::Vector3;
-
 use super::clock::Clock;
 use super::error::RunError;
 use crate::anatomy::{Anatomy, Ventricle};
@@ -12,20 +10,12 @@ use crate::heart::{
     BeatDeformation, BeatObservables, HeartModel, ModelSettings, OnsetSites, Parameters, SimulationPlan, Trajectory, simulate,
 };
 use crate::mechanics::{Kinematics, StepLoad};
-use crate::mesh::SurfaceTag;
 use crate::study::RunContext;
-use crate::study::plan::{KinematicsPlan, ModelPlan, OnsetSite};
+use crate::study::plan::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite};
 
 /// The heart of a plan on an anatomy.
 pub(super) fn heart_model(plan: &ModelPlan, anatomy: &Arc<Anatomy>, parameters: Parameters) -> Result<HeartModel, RunError> {
-    let endocardium = || anatomy.surface.vertices_with(SurfaceTag::EndocardiumLv);
-    let onset_sites = match plan.onset.place {
-        OnsetSite::Normal => OnsetSites::Normal,
-        OnsetSite::Endocardium => OnsetSites::Vertices(endocardium().into_iter().map(|vertex| (vertex, 0.0)).collect()),
-        OnsetSite::Sites => {
-            OnsetSites::Vertices(plan.onset.sites.iter().map(|(at, delay_s)| (nearest_vertex(anatomy, at), *delay_s)).collect())
-        }
-    };
+    let onset_sites = onset_sites(&plan.onset);
     let kinematics = match plan.kinematics {
         KinematicsPlan::Linear => Kinematics::Linear,
         KinematicsPlan::Corotational => Kinematics::Corotational,
@@ -34,10 +24,17 @@ pub(super) fn heart_model(plan: &ModelPlan, anatomy: &Arc<Anatomy>, parameters: 
     Ok(HeartModel::new(Arc::clone(anatomy), parameters, settings)?)
 }
 
-fn nearest_vertex(anatomy: &Anatomy, position_mm: &Vector3<f64>) -> usize {
-    let squared = |vertex: &Vector3<f64>| (vertex - position_mm).norm_squared();
-    let vertices = anatomy.mesh.vertices_mm().iter().map(squared).enumerate();
-    vertices.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(vertex, _)| vertex)
+fn onset_sites(plan: &OnsetPlan) -> OnsetSites {
+    let leads = OnsetSites::Points(plan.sites.clone());
+    let own = match plan.place {
+        OnsetSite::Normal => OnsetSites::Normal,
+        OnsetSite::LeftBundleBranchBlock => OnsetSites::LeftBundleBranchBlock,
+        OnsetSite::RightApicalPacing => OnsetSites::RightApicalPacing,
+        OnsetSite::BiventricularPacing => OnsetSites::BiventricularPacing,
+        OnsetSite::Endocardium => OnsetSites::Endocardium,
+        OnsetSite::Sites => return leads,
+    };
+    if plan.sites.is_empty() { own } else { OnsetSites::Together(vec![own, leads]) }
 }
 
 /// Beats `model` over `clock` under `loads`, telling how far it is and stopping when asked.

@@ -10,7 +10,7 @@ use super::forward::{deformation, observables};
 use super::track::Tracked;
 use super::wall::{WallSummary, write_wall};
 use crate::anatomy::Ventricle;
-use crate::heart::{BeatObservables, HeartModel, Strain, Trajectory};
+use crate::heart::{ActivationTimes, BeatObservables, HeartModel, Strain, Trajectory};
 use crate::mesh::io::{FieldValues, write_vtu};
 use crate::mesh::{MeshQuality, SurfaceTag};
 use crate::report::{create_folder, write_csv, write_pvd};
@@ -47,6 +47,8 @@ pub(super) struct BeatSummary {
     pub(super) isovolumetric_relaxation_rv_ms: Option<f64>,
     pub(super) filling_rv_ms: Option<f64>,
     pub(super) total_activation_time_ms: f64,
+    pub(super) activation_time_lv_ms: f64,
+    pub(super) activation_time_rv_ms: Option<f64>,
     #[serde(flatten)]
     pub(super) wall: Option<WallSummary>,
 }
@@ -57,7 +59,7 @@ impl BeatSummary {
         let observables = observables(trajectory, clock);
         let of = |ventricle, value: fn(&BeatObservables) -> f64| observables.iter().find(|(v, _)| *v == ventricle).map(|(_, o)| value(o));
         let (left, right) = (Ventricle::Left, Ventricle::Right);
-        let (first_s, last_s) = model.activation().span_s();
+        let activation = ActivationTimes::new(model.anatomy(), model.activation());
         Self {
             ejection_fraction_lv: of(left, |o| o.ejection_fraction),
             end_diastolic_volume_lv_ml: of(left, |o| o.end_diastolic_volume_ml),
@@ -85,7 +87,9 @@ impl BeatSummary {
             ejection_rv_ms: of(right, |o| o.ejection_ms),
             isovolumetric_relaxation_rv_ms: of(right, |o| o.isovolumetric_relaxation_ms),
             filling_rv_ms: of(right, |o| o.filling_ms),
-            total_activation_time_ms: (last_s - first_s) * crate::units::MS_PER_S,
+            total_activation_time_ms: crate::units::MS_PER_S * activation.total_s,
+            activation_time_lv_ms: crate::units::MS_PER_S * activation.left_s,
+            activation_time_rv_ms: activation.right_s.map(|time_s| crate::units::MS_PER_S * time_s),
             wall: deformation(model, trajectory, clock).map(|beat| WallSummary::new(&beat)),
         }
     }
