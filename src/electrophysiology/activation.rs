@@ -54,7 +54,8 @@ pub enum Stencil {
 pub struct ActivationSettings {
     /// How far straight rays reach around a single onset (one without onsets next to it); zero is the march alone. Starting at a
     /// distance r the march errs by $O(h\log(R/r))$, h the mean edge and R the diagonal of the mesh. `None` is $2\sqrt{Rh}$, which
-    /// leaves less than half of the error of a march from the point, on every mesh, and few rays.
+    /// leaves less than half of the error of a march from the point where the medium is uniform or changes slowly. Where the speed
+    /// changes many-fold over few elements the march errs to both sides, and taking away the delay alone can leave more.
     pub ray_length_mm: Option<f64>,
 }
 
