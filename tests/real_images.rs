@@ -3,12 +3,15 @@
 #![allow(
     clippy::unwrap_used,
     clippy::print_stderr,
+    clippy::print_stdout,
     reason = "a test may stop at the first surprise, and says aloud what it could not look at"
 )]
 
 use std::path::{Path, PathBuf};
 
-use cardiotwin::image::{CineTiming, read_cine, read_dicom_folder};
+use cardiotwin::image::{
+    CineReading, CineTiming, VolumeCurve, follow_cavity, read_cine, read_dicom_folder, read_label_map, read_label_maps,
+};
 use nalgebra::Vector3;
 
 /// A data set, or none where this machine has no copy of it.
@@ -48,4 +51,47 @@ fn dicom_and_nifti_of_one_patient_are_the_same_image_in_the_world() {
     for (from_dicom, from_nifti) in dicom.times_s().iter().zip(nifti.times_s()) {
         assert!((from_dicom - from_nifti).abs() < 2e-3, "{from_dicom} and {from_nifti} s");
     }
+}
+
+fn cine(folder: &Path) -> CineReading {
+    let timing = CineTiming::from_sidecar(&folder.join("meta.json")).unwrap();
+    read_cine(&folder.join("cine_sax_crop.nii.gz"), &timing).unwrap()
+}
+
+/// The expert drew end-diastole, from which the images are followed, and independently end-systole.
+#[test]
+fn volumes_from_the_images_of_a_failing_heart_agree_with_the_expert_at_end_systole() {
+    let Some(folder) = data("sunnybrook_SCD0000201") else { return };
+    let cine = cine(&folder).cine;
+    let drawn = |name: &str| read_label_map(&folder.join(name)).unwrap();
+    let drawn_ml = |name: &str| drawn(name).count(1) as f64 * drawn(name).grid().voxel_volume_mm3() / 1000.0;
+    let contours = follow_cavity(&cine, &drawn("labels_ED_crop.nii.gz"), 1, 19).unwrap();
+    let measured_ml = contours.volumes_ml();
+    let curve = VolumeCurve::new(cine.times_s().to_vec(), measured_ml.clone(), cine.period_s()).unwrap().smoothed(0.5).unwrap();
+    let expert_ml = [drawn_ml("labels_ED_crop.nii.gz"), drawn_ml("labels_ES_crop.nii.gz")];
+    println!("measured {measured_ml:.1?}\nsmooth {:.1?}\nexpert {expert_ml:.1?}, EF {:.3}", curve.volumes_ml(), curve.ejection_fraction());
+    assert!((measured_ml[19] - expert_ml[0]).abs() < 2.0);
+    // Two experts differ by 5 to 10 mL on such a heart.
+    assert!((measured_ml[6] - expert_ml[1]).abs() < 5.0);
+    assert!(curve.end_systole().frame.abs_diff(6) <= 1);
+    assert!((curve.ejection_fraction() - (1.0 - expert_ml[1] / expert_ml[0])).abs() < 0.03);
+}
+
+/// Another program's contours of every frame; one of them starts the following.
+#[test]
+fn volumes_from_the_images_of_an_animal_agree_with_contours_of_every_frame() {
+    let Some(folder) = data("sri_E774") else { return };
+    let cine = cine(&folder).cine;
+    let maps = read_label_maps(&folder.join("labels_lv_auto_all_frames_crop.nii.gz")).unwrap();
+    // Above slice 13 the contours follow the aorta and the atria.
+    let trusted = 0..14;
+    let drawn = VolumeCurve::from_label_maps(&maps, 1, trusted.clone(), cine.times_s().to_vec(), cine.period_s()).unwrap();
+    let contours = follow_cavity(&cine, &maps[1].slices(trusted), 1, 1).unwrap();
+    let measured_ml = contours.volumes_ml();
+    println!("measured {measured_ml:.1?}\ndrawn {:.1?}", drawn.volumes_ml());
+    let squares: f64 = measured_ml.iter().zip(drawn.volumes_ml()).map(|(a, b)| (a - b).powi(2)).sum();
+    assert!((squares / 20.0).sqrt() < 2.5, "{} mL RMS", (squares / 20.0).sqrt());
+    let followed = VolumeCurve::new(cine.times_s().to_vec(), measured_ml, cine.period_s()).unwrap();
+    assert!((followed.ejection_fraction() - drawn.ejection_fraction()).abs() < 0.03);
+    assert!(followed.end_systole().frame.abs_diff(drawn.end_systole().frame) <= 1);
 }

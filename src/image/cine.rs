@@ -54,6 +54,16 @@ impl CineSequence {
         self.period_s
     }
 
+    /// The same beat at another heart period (s, positive): every frame keeps its phase t/HP, as when two breath-holds are brought together.
+    ///
+    /// # Errors
+    /// [`ImageError::InconsistentCine`] if the period is not a positive number.
+    pub fn at_period(self, period_s: f64) -> Result<Self, ImageError> {
+        let scale = period_s / self.period_s;
+        let times_s = self.times_s.iter().map(|time_s| time_s * scale).collect();
+        Self::new(self.frames, times_s, period_s)
+    }
+
     /// The two frames around a time and the weight of the second: (earlier, later, weight), periodic.
     pub fn frames_around(&self, time_s: f64) -> (usize, usize, f64) {
         let last = self.times_s.len() - 1;
@@ -81,5 +91,8 @@ mod tests {
         let (earlier, later, weight) = cine.frames_around(-0.2);
         assert_eq!((earlier, later), (1, 0));
         assert!((weight - 0.5).abs() < 1e-12);
+        let slower = cine.clone().at_period(1.5).unwrap();
+        assert!((slower.frames_around(-0.3).2 - 0.5).abs() < 1e-12 && slower.period_s() == 1.5);
+        assert!(cine.at_period(f64::NAN).is_err());
     }
 }

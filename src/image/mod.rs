@@ -2,11 +2,13 @@
 
 mod alignment;
 mod cine;
+mod contour;
 mod dicom;
 mod error;
 mod grid;
 mod mask;
 mod nifti;
+mod phases;
 mod preprocess;
 mod sampling;
 mod smoothing;
@@ -17,6 +19,7 @@ mod volume_curve;
 
 pub use alignment::{SliceShifts, correct_slice_shifts, estimate_slice_shifts};
 pub use cine::CineSequence;
+pub use contour::{CavityContours, CavitySlice, follow_cavity};
 pub use dicom::{DicomFolder, DicomStack, read_dicom_folder};
 pub use error::ImageError;
 pub use grid::Grid;

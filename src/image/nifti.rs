@@ -9,6 +9,7 @@ use std::path::Path;
 use ::nifti::{InMemNiftiVolume, IntoNdArray, NiftiHeader, NiftiType};
 use nalgebra::{Matrix3, Matrix4, Quaternion, UnitQuaternion, Vector3};
 
+use super::phases::CommonPhases;
 use super::{CineSequence, CineTiming, Grid, ImageError, LabelMap, Volume};
 
 /// A 3-D or 4-D image as its file tells it.
@@ -59,8 +60,41 @@ pub fn read_cine(path: &Path, timing: &CineTiming) -> Result<CineReading, ImageE
         return Err(unusable("it has one frame; a cine sequence is a 4-D image".into()));
     }
     let (times_s, period_s) = timing.resolve(frame_count, image.start_s, image.step_s).map_err(unusable)?;
-    let cine = CineSequence::new(image.frames, times_s, period_s).map_err(|error| unusable(error.to_string()))?;
-    Ok(CineReading { cine, warnings: [image.warnings, timing.warnings.clone()].concat() })
+    let mut warnings = [image.warnings, timing.warnings.clone()].concat();
+    let frames = match &timing.phases {
+        Some(phases) => at_common_phases(image.frames, phases, &mut warnings).map_err(|error| unusable(error.to_string()))?,
+        None => image.frames,
+    };
+    let cine = CineSequence::new(frames, times_s, period_s).map_err(|error| unusable(error.to_string()))?;
+    Ok(CineReading { cine, warnings })
+}
+
+/// Interpolates the slices (index k) that were taken at other phases than the rest.
+fn at_common_phases(mut frames: Vec<Volume>, phases: &CommonPhases, warnings: &mut Vec<String>) -> Result<Vec<Volume>, ImageError> {
+    let grid = frames[0].grid().clone();
+    let [ni, nj, nk] = grid.shape();
+    if phases.own.len() != nk || phases.own.iter().any(|own| own.len() != frames.len()) {
+        warnings.push(format!(
+            "times are known of {} slices where the image has {nk}: all slices were taken as simultaneous",
+            phases.own.len()
+        ));
+        return Ok(frames);
+    }
+    let unfit = phases.unfit_slices();
+    if unfit.is_empty() {
+        return Ok(frames);
+    }
+    warnings.push(format!("slices {unfit:?} were taken at other phases of the beat: interpolated in time"));
+    let mut values: Vec<Vec<f32>> = frames.drain(..).map(Volume::into_values).collect();
+    for slice in unfit {
+        let plane = ni * nj * slice..ni * nj * (slice + 1);
+        let own: Vec<&[f32]> = values.iter().map(|frame| &frame[plane.clone()]).collect();
+        let resampled = phases.resampled(slice, &own);
+        for (frame, resampled) in values.iter_mut().zip(resampled) {
+            frame[plane.clone()].copy_from_slice(&resampled);
+        }
+    }
+    values.into_iter().map(|values| Volume::new(grid.clone(), values)).collect()
 }
 
 /// Reads a 3-D label map.

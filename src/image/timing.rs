@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::Deserialize;
 
 use super::ImageError;
+use super::phases::CommonPhases;
 
 /// What is known about a cine's times beside its header; what is `None` is taken from the header.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -17,6 +18,8 @@ pub struct CineTiming {
     pub frame_times_s: Option<Vec<f64>>,
     /// What was assumed, in words.
     pub warnings: Vec<String>,
+    /// At which phases each slice was taken, where that is known.
+    pub(super) phases: Option<CommonPhases>,
 }
 
 /// Shortest and longest heart period that is believed, s (from small rodents to athletes at rest).
@@ -36,7 +39,7 @@ impl CineTiming {
     /// Times from a JSON file beside the image, with the keys `trigger_time_ms_per_slice` (slices × frames, ms after the R wave) and, where
     /// known, `nominal_interval_ms` (heart periods met, ms). Slices taken at different heart periods are brought onto common phases:
     /// each slice's times are divided by its own period (see `slice_periods_ms`), and the median over the slices is multiplied by
-    /// the median period.
+    /// the median period. A slice that was taken at other phases is interpolated when the image is read.
     ///
     /// # Errors
     /// [`ImageError::Unreadable`] or [`ImageError::Unusable`].
@@ -83,7 +86,9 @@ impl CineTiming {
             ));
         }
         let frame_times_s = phases.iter().map(|phase| phase * period_s).collect();
-        Ok(Self { start_s: None, period_s: Some(period_s), frame_times_s: Some(frame_times_s), warnings })
+        let own_phases = |(times, period_s): (&Vec<f64>, &f64)| times.iter().map(|ms| ms / 1000.0 / period_s).collect();
+        let phases = CommonPhases { common: phases, own: slices.iter().zip(&periods_s).map(own_phases).collect() };
+        Ok(Self { start_s: None, period_s: Some(period_s), frame_times_s: Some(frame_times_s), warnings, phases: Some(phases) })
     }
 
     /// Frame times and period of `frame_count` frames, with the header's start and step where nothing better is known.

@@ -1,5 +1,7 @@
 //! One 3-D image: intensities or labels on a grid.
 
+use nalgebra::Vector3;
+
 use super::{Grid, ImageError};
 
 /// Intensities on a grid, i fastest. All values are finite.
@@ -30,6 +32,11 @@ impl Volume {
     /// The values, i fastest.
     pub fn values(&self) -> &[f32] {
         &self.values
+    }
+
+    /// The values alone.
+    pub(super) fn into_values(self) -> Vec<f32> {
+        self.values
     }
 
     /// The value at a voxel.
@@ -68,6 +75,26 @@ impl LabelMap {
     /// The code at a voxel.
     pub fn at(&self, voxel: [usize; 3]) -> u8 {
         self.labels[self.grid.flat_index(voxel)]
+    }
+
+    /// The code of the voxel around a world position (mm); `None` outside.
+    pub fn at_position(&self, position_mm: &Vector3<f64>) -> Option<u8> {
+        let voxel = self.grid.to_voxel(position_mm).map(f64::round);
+        let inside = (0..3).all(|axis| voxel[axis] >= 0.0 && voxel[axis] < self.grid.shape()[axis] as f64);
+        inside.then(|| self.at([voxel.x as usize, voxel.y as usize, voxel.z as usize]))
+    }
+
+    /// Other labels on the same grid; there are as many.
+    pub(super) fn with_labels(&self, labels: Vec<u8>) -> Self {
+        debug_assert_eq!(labels.len(), self.labels.len());
+        Self { grid: self.grid.clone(), labels }
+    }
+
+    /// The same labels in some slices (index k) only, background elsewhere.
+    pub fn slices(&self, kept: std::ops::Range<usize>) -> Self {
+        let in_slice = self.grid.shape()[0] * self.grid.shape()[1];
+        let label = |(flat, label): (usize, &u8)| if kept.contains(&(flat / in_slice)) { *label } else { 0 };
+        self.with_labels(self.labels.iter().enumerate().map(label).collect())
     }
 
     /// Number of voxels with a code.

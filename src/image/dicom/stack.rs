@@ -3,6 +3,7 @@
 use nalgebra::{Matrix4, Vector3};
 
 use super::instance::Instance;
+use crate::image::phases::{CommonPhases, mixed};
 use crate::image::timing::{median, slice_periods_ms};
 use crate::image::{CineSequence, CineTiming, Grid, Volume};
 
@@ -12,13 +13,16 @@ const SAME_PLACE_MM: f64 = 0.5;
 /// Slices may lie off their regular places by this share of their distance.
 const IRREGULAR: f64 = 0.1;
 
-/// A slice whose frames lie off the common phases by more than this share of a frame step is interpolated in time.
-const SAME_PHASE: f64 = 0.1;
-
 /// All instants of one slice, in order of time.
 struct Slice<'a> {
     height_mm: f64,
     instances: Vec<&'a Instance>,
+}
+
+impl Slice<'_> {
+    fn images(&self) -> Vec<&[f32]> {
+        self.instances.iter().map(|instance| instance.values.as_slice()).collect()
+    }
 }
 
 /// A cine on one grid and what was assumed.
@@ -38,11 +42,11 @@ pub(super) fn are_parallel(a: &Instance, b: &Instance) -> bool {
 pub(super) fn assemble(instances: &[Instance], timing: &CineTiming) -> Result<Assembled, String> {
     let mut warnings = Vec::new();
     let slices = sorted_slices(instances, &mut warnings)?;
-    let phases = Phases::of(&slices, timing, &mut warnings)?;
+    let timing = StackTiming::of(&slices, timing, &mut warnings)?;
     let (grid, places) = regular_grid(&slices, &mut warnings)?;
-    let frame_count = phases.times_s.len();
+    let frame_count = timing.times_s.len();
     // Slices × frames, every slice at the common phases.
-    let by_slice: Vec<Vec<Vec<f32>>> = slices.iter().enumerate().map(|(n, slice)| phases.resampled(n, slice)).collect();
+    let by_slice: Vec<Vec<Vec<f32>>> = slices.iter().enumerate().map(|(n, slice)| timing.phases.resampled(n, &slice.images())).collect();
     let frame = |frame: usize| {
         let mut values = Vec::with_capacity(grid.voxel_count());
         for k in 0..grid.shape()[2] {
@@ -51,7 +55,7 @@ pub(super) fn assemble(instances: &[Instance], timing: &CineTiming) -> Result<As
         Volume::new(grid.clone(), values).map_err(|error| error.to_string())
     };
     let frames = (0..frame_count).map(frame).collect::<Result<Vec<_>, _>>()?;
-    let cine = CineSequence::new(frames, phases.times_s.clone(), phases.period_s).map_err(|error| error.to_string())?;
+    let cine = CineSequence::new(frames, timing.times_s, timing.period_s).map_err(|error| error.to_string())?;
     Ok(Assembled { cine, warnings })
 }
 
@@ -104,16 +108,13 @@ fn usual_count(counts: &[usize]) -> usize {
 }
 
 /// When the frames of a stack were taken.
-struct Phases {
+struct StackTiming {
     times_s: Vec<f64>,
     period_s: f64,
-    /// Common phases, 0 to 1 of the period.
-    common: Vec<f64>,
-    /// Phases of every slice's own frames.
-    own: Vec<Vec<f64>>,
+    phases: CommonPhases,
 }
 
-impl Phases {
+impl StackTiming {
     fn of(slices: &[Slice<'_>], timing: &CineTiming, warnings: &mut Vec<String>) -> Result<Self, String> {
         let counts: Vec<usize> = slices.iter().map(|slice| slice.instances.len()).collect();
         let usual = usual_count(&counts);
@@ -125,7 +126,8 @@ impl Phases {
             let step_s = (!nominal.is_empty()).then(|| median(nominal) / 1000.0 / usual as f64);
             warnings.push("trigger times are missing: the frames were taken as evenly spread over the beat".into());
             let (times_s, period_s) = timing.resolve(usual, 0.0, step_s)?;
-            return Ok(Self { times_s, period_s, common: spread(usual), own: counts.into_iter().map(spread).collect() });
+            let phases = CommonPhases { common: spread(usual), own: counts.into_iter().map(spread).collect() };
+            return Ok(Self { times_s, period_s, phases });
         }
         let trigger_ms: Vec<Vec<f64>> =
             slices.iter().map(|slice| slice.instances.iter().filter_map(|instance| instance.trigger_ms).collect()).collect();
@@ -145,31 +147,13 @@ impl Phases {
         let (times_s, period_s) = times.resolve(usual, 0.0, None)?;
         let periods_ms = slice_periods_ms(&trigger_ms, &nominal);
         let own = trigger_ms.iter().zip(&periods_ms).map(|(times, period)| times.iter().map(|t| t / period).collect()).collect();
-        Ok(Self { times_s, period_s, common, own })
-    }
-
-    /// The frames of slice `n` at the common phases: as they are where they fit, else linear between its own, periodic.
-    fn resampled(&self, n: usize, slice: &Slice<'_>) -> Vec<Vec<f32>> {
-        let own = &self.own[n];
-        let step = 1.0 / self.common.len() as f64;
-        let fits = own.len() == self.common.len() && own.iter().zip(&self.common).all(|(a, b)| (a - b).abs() < SAME_PHASE * step);
-        if fits {
-            return slice.instances.iter().map(|instance| instance.values.clone()).collect();
+        let phases = CommonPhases { common, own };
+        let unfit = phases.unfit_slices();
+        if !unfit.is_empty() {
+            warnings.push(format!("slices {unfit:?} were taken at other phases of the beat: interpolated in time"));
         }
-        let at = |phase: f64| {
-            let wrapped = own[0] + (phase - own[0]).rem_euclid(1.0);
-            let earlier = own.partition_point(|&p| p <= wrapped).max(1) - 1;
-            let later = (earlier + 1) % own.len();
-            let gap = if later == 0 { own[0] + 1.0 - own[earlier] } else { own[later] - own[earlier] };
-            let weight = ((wrapped - own[earlier]) / gap.max(1e-9)).clamp(0.0, 1.0) as f32;
-            mixed(&slice.instances[earlier].values, &slice.instances[later].values, weight)
-        };
-        self.common.iter().map(|&phase| at(phase)).collect()
+        Ok(Self { times_s, period_s, phases })
     }
-}
-
-fn mixed(first: &[f32], second: &[f32], weight: f32) -> Vec<f32> {
-    first.iter().zip(second).map(|(a, b)| a + weight * (b - a)).collect()
 }
 
 /// The grid of a stack and the index k of every slice; slices missing between others leave a gap in the indices.

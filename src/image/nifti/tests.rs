@@ -190,3 +190,22 @@ fn garbled_bytes_never_panic() {
         let _ = read_bytes(&archive);
     }
 }
+
+#[test]
+fn a_slice_taken_at_other_phases_is_interpolated_as_the_sidecar_says() {
+    // Two slices, four frames; the second slice half a frame late, its intensity rising by 10 a frame.
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("cine.nii");
+    let voxels: Vec<u8> = (0..4_i16).flat_map(|frame| [7, 10 * frame]).flat_map(i16::to_le_bytes).collect();
+    std::fs::write(&path, Bytes::new(&[1, 1, 2, 4], 4, 16).with_voxels(&voxels)).unwrap();
+    let times = |start: f64| (0..4).map(|frame| start + 200.0 * f64::from(frame)).collect::<Vec<_>>();
+    let timing = CineTiming::from_trigger_times_ms(&[times(0.0), times(100.0), times(0.0)], &[]).unwrap();
+    assert!(read_cine(&path, &timing).unwrap().warnings.iter().any(|w| w.contains("3 slices where the image has 2")));
+    let timing = CineTiming::from_trigger_times_ms(&[times(0.0), times(0.0), times(100.0)], &[]).unwrap();
+    let timing = CineTiming { phases: timing.phases.map(|p| CommonPhases { own: p.own[1..].to_vec(), ..p }), ..timing };
+    let read = read_cine(&path, &timing).unwrap();
+    let late: Vec<f32> = read.cine.frames().iter().map(|frame| frame.at([0, 0, 1])).collect();
+    assert_eq!(late, [15.0, 5.0, 15.0, 25.0]);
+    assert!(read.cine.frames().iter().all(|frame| frame.at([0, 0, 0]) == 7.0));
+    assert!(read.warnings.iter().any(|w| w.contains("slices [1]")));
+}
