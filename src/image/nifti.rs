@@ -40,11 +40,16 @@ pub struct CineReading {
 /// [`ImageError::Unreadable`] if the file cannot be opened or ends early, [`ImageError::Unusable`] if what it holds makes no image.
 pub fn read_nifti(path: &Path) -> Result<NiftiImage, ImageError> {
     let unreadable = |error: std::io::Error| ImageError::Unreadable { path: path.into(), reason: error.to_string() };
+    read_from(BufReader::new(File::open(path).map_err(unreadable)?), path)
+}
+
+fn read_from<'a>(source: impl BufRead + 'a, path: &Path) -> Result<NiftiImage, ImageError> {
+    let unreadable = |reason: String| ImageError::Unreadable { path: path.into(), reason };
     let unusable = |reason: String| ImageError::Unusable { path: path.into(), reason };
-    let mut source = open_maybe_compressed(path).map_err(unreadable)?;
+    let mut source = maybe_decompressed(source).map_err(|error| unreadable(error.to_string()))?;
     let header = read_header(&mut source).map_err(unusable)?;
     let layout = Layout::of(&header).map_err(unusable)?;
-    let raw = read_voxel_bytes(&mut source, &header, &layout).map_err(|reason| ImageError::Unreadable { path: path.into(), reason })?;
+    let raw = read_voxel_bytes(&mut source, &header, &layout).map_err(unreadable)?;
     decode(&header, &layout, raw).map_err(unusable)
 }
 
@@ -124,14 +129,16 @@ pub fn read_label_maps(path: &Path) -> Result<Vec<LabelMap>, ImageError> {
     read_nifti(path)?.frames.into_iter().map(to_labels).collect()
 }
 
-/// The file's bytes, decompressed if they begin as gzip does, whatever its name.
-fn open_maybe_compressed(path: &Path) -> std::io::Result<Box<dyn Read>> {
-    let mut file = BufReader::new(File::open(path)?);
-    let is_compressed = file.fill_buf()?.starts_with(&[0x1f, 0x8b]);
-    Ok(if is_compressed { Box::new(flate2::bufread::MultiGzDecoder::new(file)) } else { Box::new(file) })
+/// The bytes, decompressed if they begin as gzip does, whatever the file's name.
+fn maybe_decompressed<'a>(mut source: impl BufRead + 'a) -> std::io::Result<Box<dyn Read + 'a>> {
+    let is_compressed = source.fill_buf()?.starts_with(&[0x1f, 0x8b]);
+    Ok(if is_compressed { Box::new(flate2::bufread::MultiGzDecoder::new(source)) } else { Box::new(source) })
 }
 
 const HEADER_BYTES: u64 = 348;
+
+/// More than any cine; a small compressed file must not fill the memory.
+const VOXEL_BYTES_MAX: usize = 16 << 30;
 
 fn read_header(source: &mut dyn Read) -> Result<NiftiHeader, String> {
     let mut bytes = Vec::new();
@@ -169,7 +176,8 @@ impl Layout {
         let byte_count = dims
             .iter()
             .try_fold(datatype.size_of(), |product, &n| product.checked_mul(n))
-            .ok_or_else(|| format!("its dimensions {dims:?} are too large"))?;
+            .filter(|&bytes| bytes <= VOXEL_BYTES_MAX)
+            .ok_or_else(|| format!("its dimensions {dims:?} make more than {} GB of voxels", VOXEL_BYTES_MAX >> 30))?;
         let mut warnings = Vec::new();
         let voxel_to_world = affine_mm(header, &mut warnings)?;
         let frame_count = dims.get(3).copied().unwrap_or(1);

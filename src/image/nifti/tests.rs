@@ -1,5 +1,7 @@
 //! NIfTI files written byte by byte here, so that reader and crate are tested against the standard's layout and not against a writer.
 
+use proptest::prelude::{Arbitrary, any};
+
 use super::*;
 
 /// A header by byte offset, as the NIfTI-1 standard lays it out.
@@ -46,10 +48,7 @@ fn int16_image() -> Vec<u8> {
 }
 
 fn read_bytes(bytes: &[u8]) -> Result<NiftiImage, ImageError> {
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("image.nii");
-    std::fs::write(&path, bytes).unwrap();
-    read_nifti(&path)
+    read_from(bytes, Path::new("image.nii"))
 }
 
 fn compressed(bytes: &[u8]) -> Vec<u8> {
@@ -86,6 +85,25 @@ fn slope_and_intercept_apply_to_every_type_and_nan_means_none() {
     header.floats(112, &[f32::NAN, f32::NAN]);
     let voxels = [1.25_f32, -3.5].map(f32::to_le_bytes).concat();
     assert_eq!(read_bytes(&header.with_voxels(&voxels)).unwrap().frames[0].values(), [1.25, -3.5]);
+}
+
+#[test]
+fn every_real_type_is_read() {
+    let types: [(i16, i16, Vec<u8>); 8] = [
+        (2, 8, vec![200, 3]),
+        (256, 8, vec![200, 3]),
+        (4, 16, [200_i16, 3].map(i16::to_le_bytes).concat()),
+        (512, 16, [60_000_u16, 3].map(u16::to_le_bytes).concat()),
+        (8, 32, [-70_000_i32, 3].map(i32::to_le_bytes).concat()),
+        (768, 32, [70_000_u32, 3].map(u32::to_le_bytes).concat()),
+        (16, 32, [0.5_f32, 3.0].map(f32::to_le_bytes).concat()),
+        (64, 64, [0.25_f64, 3.0].map(f64::to_le_bytes).concat()),
+    ];
+    let expected = [200.0, -56.0, 200.0, 60_000.0, -70_000.0, 70_000.0, 0.5, 0.25];
+    for ((datatype, bits, voxels), first) in types.into_iter().zip(expected) {
+        let image = read_bytes(&Bytes::new(&[2, 1, 1], datatype, bits).with_voxels(&voxels)).unwrap();
+        assert_eq!(image.frames[0].values(), [first, 3.0], "type {datatype}");
+    }
 }
 
 #[test]
@@ -146,11 +164,20 @@ fn what_is_no_usable_image_is_said_clearly() {
     assert!(message(&Bytes::new(&[2, -4, 1], 2, 8).with_voxels(&[0; 4])).contains("cut off"));
     assert!(message(&Bytes::new(&[2, 2, 1], 2, 16).with_voxels(&[0; 8])).contains("16 bits"));
     assert!(message(&Bytes::new(&[1, 1, 1], 128, 24).with_voxels(&[0; 3])).contains("Rgb24"));
+    assert!(message(&Bytes::new(&[32767, 32767, 32767, 32767], 64, 64).with_voxels(&[0; 8])).contains("16 GB"));
     let nan: Vec<u8> = [1.0, f32::NAN].iter().flat_map(|v| v.to_le_bytes()).collect();
     assert!(message(&Bytes::new(&[2, 1, 1], 16, 32).with_voxels(&nan)).contains("voxel [1, 0, 0] of frame 0 is not finite"));
     let mut flat = Bytes(int16_image());
     flat.floats(312, &[0.0, 0.0, 0.0, 30.0]);
     assert!(message(&flat.0).contains("singular"));
+    let mut undefined = Bytes(int16_image());
+    undefined.floats(296, &[f32::NAN]);
+    assert!(message(&undefined.0).contains("singular or not finite"));
+    let mut no_spacing = Bytes(int16_image());
+    no_spacing.put(254, &0_i16.to_le_bytes());
+    no_spacing.put(252, &1_i16.to_le_bytes());
+    no_spacing.floats(84, &[0.0]);
+    assert!(message(&no_spacing.0).contains("singular"));
 }
 
 #[test]
@@ -168,26 +195,35 @@ fn labels_must_be_small_integers_and_a_cine_must_have_frames() {
     assert!(read_cine(&path, &timing).unwrap_err().to_string().contains("one frame"));
 }
 
-/// Any answer is right but a panic or an exhausted memory.
-#[test]
-fn garbled_bytes_never_panic() {
-    use rand::{Rng, SeedableRng};
-    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(20_090_604);
-    let whole = int16_image();
-    for round in 0..2000 {
-        let mut bytes = whole.clone();
-        for _ in 0..random.random_range(1..6) {
-            let at = random.random_range(0..bytes.len());
-            bytes[at] = random.random();
+proptest::proptest! {
+    /// Any answer is right but a panic or an exhausted memory.
+    #[test]
+    fn garbled_bytes_never_panic(
+        edits in proptest::collection::vec((proptest::sample::Index::arbitrary(), any::<u8>()), 0..6),
+        length in proptest::sample::Index::arbitrary(),
+        cut in any::<bool>(),
+        in_archive in any::<bool>(),
+    ) {
+        let mut bytes = if in_archive { compressed(&int16_image()) } else { int16_image() };
+        for (at, byte) in edits {
+            let at = at.index(bytes.len());
+            bytes[at] = byte;
         }
-        if round % 3 == 0 {
-            bytes.truncate(random.random_range(0..=whole.len()));
+        if cut {
+            bytes.truncate(length.index(bytes.len()));
         }
-        let _ = read_bytes(&if round % 2 == 0 { bytes } else { compressed(&bytes) });
-        let mut archive = compressed(&whole);
-        let at = random.random_range(0..archive.len());
-        archive[at] = random.random();
-        let _ = read_bytes(&archive);
+        let _ = read_bytes(&bytes);
+        let _ = read_bytes(&compressed(&bytes));
+    }
+
+    /// Headers of the right size and magic that otherwise say anything.
+    #[test]
+    fn arbitrary_headers_never_panic(noise in proptest::collection::vec(any::<u8>(), 352), voxels in proptest::collection::vec(any::<u8>(), 0..200)) {
+        let mut header = Bytes(noise);
+        header.put(0, &348_i32.to_le_bytes());
+        header.put(344, b"n+1\0");
+        header.put(40, &4_i16.to_le_bytes());
+        let _ = read_bytes(&header.with_voxels(&voxels));
     }
 }
 
