@@ -45,7 +45,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("dejavu", &["report"]),
     ("csv", &["report"]),
     ("tempfile", &["report"]),
-    ("serde_json", &["report", "image"]),
+    ("serde_json", &["report", "image", "cli"]),
     ("::image", &["report"]),
     ("toml", &["study"]),
     ("strsim", &["study"]),

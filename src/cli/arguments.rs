@@ -23,6 +23,8 @@ pub(super) enum Command {
     Run(RunArguments),
     /// Say what a study would do, or what is wrong with its file
     Check(StudyArguments),
+    /// Say what an image shows: grid, spacing, orientation, frames, times, labels, and what is odd about it
+    Info(InfoArguments),
     /// List every parameter of the model: name, unit, default, range, meaning, source
     Parameters,
 }
@@ -37,6 +39,19 @@ pub(super) struct RunArguments {
     /// Say nothing but warnings, errors and results
     #[arg(short, long)]
     pub(super) quiet: bool,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct InfoArguments {
+    /// A NIfTI file (.nii, .nii.gz) or a folder of DICOM files
+    #[arg(value_name = "PATH")]
+    pub(super) path: PathBuf,
+    /// Trigger times and heart periods beside the image, as images.timing of a study
+    #[arg(long, value_name = "JSON")]
+    pub(super) timing: Option<PathBuf>,
+    /// Print JSON in place of a table
+    #[arg(long)]
+    pub(super) json: bool,
 }
 
 #[derive(Debug, Args)]

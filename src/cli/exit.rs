@@ -2,6 +2,7 @@
 
 use std::process::ExitCode;
 
+use crate::image::ImageError;
 use crate::study::{RunError, Status, StudyError};
 
 /// How the program ends.
@@ -44,7 +45,7 @@ impl From<&anyhow::Error> for Exit {
             Some(RunError::Stopped) => Self::Interrupted,
             Some(RunError::Image(_) | RunError::FrameOutOfRange { .. } | RunError::NothingToFit) => Self::BadInput,
             Some(_) => Self::Failed,
-            None if error.is::<StudyError>() => Self::BadInput,
+            None if error.is::<StudyError>() || error.is::<ImageError>() => Self::BadInput,
             None => Self::Failed,
         }
     }

@@ -2,6 +2,7 @@
 
 mod arguments;
 mod exit;
+mod info;
 mod messages;
 mod progress;
 mod run;
@@ -24,6 +25,7 @@ pub fn main() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Run(arguments) => run::run_study(arguments),
         Command::Check(arguments) => check_study(arguments),
+        Command::Info(arguments) => info::show(&arguments),
         Command::Parameters => print(&messages::parameter_table()).map(|()| Exit::Done),
     };
     let exit = result.unwrap_or_else(|error| {

@@ -8,10 +8,10 @@
 //! for the shifts s. Errors of d grow into smooth curves of s, and a linear drift is invisible: of the shifts that explain d the sparse ones
 //! are taken, min ‖A s − d‖² + μ Σ |s_k| by iteratively reweighted least squares, as few slices are displaced and most lie right.
 
-use nalgebra::{DMatrix, DVector, Vector2};
+use nalgebra::{DMatrix, DVector, Vector2, Vector3};
 use rayon::prelude::*;
 
-use super::{CineSequence, Grid, ImageError, Volume};
+use super::{CineSequence, Grid, ImageError, LabelMap, Volume};
 
 /// Shifts beyond this are not looked for, mm.
 const REACH_MM: f64 = 8.0;
@@ -80,6 +80,19 @@ pub fn correct_slice_shifts(cine: &CineSequence, shifts: &SliceShifts) -> Result
     };
     let frames = cine.frames().par_iter().map(moved).collect::<Result<Vec<_>, _>>()?;
     CineSequence::new(frames, cine.times_s().to_vec(), cine.period_s())
+}
+
+/// Labels drawn on displaced slices, moved with them; `grid` is that of the images, the labels may lie on another one.
+pub fn correct_label_shifts(labels: &LabelMap, grid: &Grid, shifts: &SliceShifts) -> LabelMap {
+    let along = |axis: usize| grid.voxel_to_world().fixed_view::<3, 1>(0, axis).normalize();
+    let (along_i, along_j) = (along(0), along(1));
+    let label = |flat: usize| {
+        let position_mm = labels.grid().to_world_mm(&Vector3::from(labels.grid().voxel_of(flat).map(|n| n as f64)));
+        let slice = grid.to_voxel(&position_mm).z.round();
+        let shift_mm = if slice >= 0.0 { shifts.shift_mm.get(slice as usize).copied() } else { None }.unwrap_or_default();
+        labels.at_position(&(position_mm + along_i * shift_mm.x + along_j * shift_mm.y)).unwrap_or(0)
+    };
+    labels.with_labels((0..labels.grid().voxel_count()).map(label).collect())
 }
 
 /// How much each pixel column changes in time, mean over the slices; 0 where little.
@@ -239,6 +252,16 @@ mod tests {
         let found = estimate_slice_shifts(&beating(&[Vector2::zeros(); 7]));
         assert!(found.shift_mm.iter().all(|shift| shift.norm() < 0.3), "{:?}", found.shift_mm);
         assert!(found.warnings(2.0).is_empty());
+    }
+
+    #[test]
+    fn labels_move_with_their_slice() {
+        let grid = Grid::axis_aligned([9, 9, 3], Vector3::new(1.0, 2.0, 3.0), Vector3::new(2.0, 2.0, 8.0)).unwrap();
+        let shifts = SliceShifts { shift_mm: vec![Vector2::zeros(), Vector2::new(4.0, -2.0), Vector2::zeros()] };
+        let drawn = |flat: usize| u8::from([[4, 4, 0], [6, 3, 1]].contains(&grid.voxel_of(flat)));
+        let labels = LabelMap::new(grid.clone(), (0..grid.voxel_count()).map(drawn).collect()).unwrap();
+        let moved = correct_label_shifts(&labels, &grid, &shifts);
+        assert_eq!((moved.at([4, 4, 0]), moved.at([4, 4, 1]), moved.count(1)), (1, 1, 2));
     }
 
     #[test]

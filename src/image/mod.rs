@@ -12,12 +12,13 @@ mod phases;
 mod preprocess;
 mod sampling;
 mod smoothing;
+mod source;
 mod summary;
 mod timing;
 mod volume;
 mod volume_curve;
 
-pub use alignment::{SliceShifts, correct_slice_shifts, estimate_slice_shifts};
+pub use alignment::{SliceShifts, correct_label_shifts, correct_slice_shifts, estimate_slice_shifts};
 pub use cine::CineSequence;
 pub use contour::{CavityContours, CavitySlice, follow_cavity};
 pub use dicom::{DicomFolder, DicomStack, read_dicom_folder};
@@ -28,7 +29,8 @@ pub use nifti::{CineReading, NiftiImage, read_cine, read_label_map, read_label_m
 pub use preprocess::{PREPARED_MAX, PreprocessSettings, preprocess};
 pub use sampling::CineInstant;
 pub use smoothing::gaussian_smoothed;
-pub use summary::CineSummary;
+pub use source::{read_cine_source, read_views, summarise};
+pub use summary::{ImageSummary, LabelSummary};
 pub use timing::CineTiming;
 pub use volume::{LabelMap, Volume};
 pub use volume_curve::{CurvePoint, MidDiastole, VolumeCurve};
