@@ -45,7 +45,9 @@ fn refused(name: &str, text: &str, words: &[&str]) {
 fn help_names_every_command_and_the_exit_codes() {
     let answer = cardiotwin(&["--help"]);
     assert_eq!(answer.code, 0);
-    for word in ["run", "check", "parameters", "Exit codes: 0 done; 1 a run failed; 2 a study file or an argument is wrong; 130"] {
+    for word in
+        ["run", "check", "info", "volumes", "parameters", "Exit codes: 0 done; 1 a run failed; 2 a study file or an argument is wrong; 130"]
+    {
         assert!(answer.out.contains(word), "`{word}` is missing in:\n{}", answer.out);
     }
 }
@@ -242,4 +244,44 @@ fn ctrl_c_stops_a_run_that_writes_what_it_has() {
     assert_eq!(run.wait().unwrap().code(), Some(130));
     let summary = std::fs::read_to_string(folder.join("summary.json")).unwrap();
     assert!(summary.contains("\"status\": \"stopped\""), "{summary}");
+}
+
+#[test]
+fn a_volume_curve_comes_from_a_table_and_bad_tables_are_refused() {
+    let folder = study("volumes", "").parent().unwrap().to_path_buf();
+    let table = folder.join("curve.csv");
+    let rows: String = (0..20)
+        .map(|n| format!("{},{}\n", 0.04 * f64::from(n), 100.0 + 30.0 * (std::f64::consts::TAU * f64::from(n) / 20.0).cos()))
+        .collect();
+    std::fs::write(&table, format!("time_s,volume_lv_ml\n{rows}")).unwrap();
+    let results = folder.join("results");
+    let answer = cardiotwin(&["volumes", table.to_str().unwrap(), "--period-s", "0.8", "-o", results.to_str().unwrap()]);
+    assert_eq!(answer.code, 0, "{}", answer.err);
+    assert!(answer.out.contains("EF 46.") && answer.out.contains("(frame 10)") && answer.out.contains("no pause"), "{}", answer.out);
+    assert_eq!(std::fs::read_to_string(results.join("volumes.csv")).unwrap().lines().count(), 21);
+    assert!(results.join("volumes.png").is_file());
+    let answer = cardiotwin(&["volumes", table.to_str().unwrap()]);
+    assert!(answer.code == 2 && answer.err.contains("--period-s"), "{}", answer.err);
+    std::fs::write(&table, "time_s,volume_lv_ml\n0.1,many\n").unwrap();
+    let answer = cardiotwin(&["volumes", table.to_str().unwrap(), "--period-s", "0.8"]);
+    assert!(answer.code == 2 && answer.err.contains("line 2"), "{}", answer.err);
+}
+
+#[test]
+fn what_an_image_shows_is_told_as_a_table_or_json_and_what_is_none_is_refused() {
+    let answer = cardiotwin(&["info", "README.md"]);
+    assert_eq!((answer.code, answer.out.as_str()), (2, ""));
+    assert!(answer.err.contains("README.md") && answer.err.contains("NIfTI"), "{}", answer.err);
+    assert!(cardiotwin(&["info", "src"]).err.contains("no DICOM file"));
+    let cine = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/sri_E774");
+    if !cine.is_dir() {
+        return;
+    }
+    let (cine, timing) = (cine.join("cine_sax_crop.nii.gz"), cine.join("meta.json"));
+    let answer = cardiotwin(&["info", cine.to_str().unwrap(), "--timing", timing.to_str().unwrap()]);
+    for words in ["160 × 160 × 20 voxels of 0.820 × 0.820 × 5.000 mm", "20 from 10.0 to 610", "RR 63"] {
+        assert!(answer.out.contains(words), "`{words}` is missing in:\n{}", answer.out);
+    }
+    let json = cardiotwin(&["info", cine.to_str().unwrap(), "--json"]).out;
+    assert!(json.starts_with("[\n") && json.contains("\"frame_count\": 20") && json.contains("\"slice_shifts_mm\""), "{json}");
 }

@@ -25,6 +25,8 @@ pub(super) enum Command {
     Check(StudyArguments),
     /// Say what an image shows: grid, spacing, orientation, frames, times, labels, and what is odd about it
     Info(InfoArguments),
+    /// Measure the volume curve of the left ventricle: end-diastole, end-systole, diastasis, ejection fraction
+    Volumes(VolumesArguments),
     /// List every parameter of the model: name, unit, default, range, meaning, source
     Parameters,
 }
@@ -52,6 +54,41 @@ pub(super) struct InfoArguments {
     /// Print JSON in place of a table
     #[arg(long)]
     pub(super) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct VolumesArguments {
+    /// A study file, a label map of every frame (4D NIfTI), or a CSV file with time_s and volume_lv_ml
+    #[arg(value_name = "STUDY.toml|PATH")]
+    pub(super) path: PathBuf,
+    /// Folder of the results; that of the study, or `volumes`, where absent
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) output: Option<PathBuf>,
+    /// Of a study: folder of the data
+    #[arg(long, value_name = "DIR")]
+    pub(super) data: Option<PathBuf>,
+    /// Of a study: set a key, as in `run`
+    #[arg(long = "set", value_name = "TABLE.KEY=VALUE")]
+    pub(super) settings: Vec<String>,
+    /// Of a label map: trigger times and heart periods, as images.timing of a study
+    #[arg(long, value_name = "JSON")]
+    pub(super) timing: Option<PathBuf>,
+    /// Of a label map: code of the cavity
+    #[arg(long, value_name = "CODE", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..))]
+    pub(super) code: u8,
+    /// Of a label map: first and last slice that count, from 0
+    #[arg(long, value_name = "FIRST..LAST", value_parser = slice_range)]
+    pub(super) slices: Option<[usize; 2]>,
+    /// Of a CSV file: heart period
+    #[arg(long, value_name = "S")]
+    pub(super) period_s: Option<f64>,
+}
+
+/// `3..10` as first and last.
+fn slice_range(text: &str) -> Result<[usize; 2], String> {
+    let ends = text.split_once("..").and_then(|(first, last)| Some([first.parse().ok()?, last.parse().ok()?]));
+    ends.filter(|[first, last]: &[usize; 2]| first <= last && *last < usize::MAX)
+        .ok_or_else(|| "write two whole numbers, such as 3..10".to_string())
 }
 
 #[derive(Debug, Args)]

@@ -6,6 +6,7 @@ mod info;
 mod messages;
 mod progress;
 mod run;
+mod volumes;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -26,6 +27,7 @@ pub fn main() -> ExitCode {
         Command::Run(arguments) => run::run_study(arguments),
         Command::Check(arguments) => check_study(arguments),
         Command::Info(arguments) => info::show(&arguments),
+        Command::Volumes(arguments) => volumes::measure(arguments),
         Command::Parameters => print(&messages::parameter_table()).map(|()| Exit::Done),
     };
     let exit = result.unwrap_or_else(|error| {

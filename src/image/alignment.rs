@@ -7,6 +7,9 @@
 //!
 //! for the shifts s. Errors of d grow into smooth curves of s, and a linear drift is invisible: of the shifts that explain d the sparse ones
 //! are taken, min ‖A s − d‖² + μ Σ |s_k| by iteratively reweighted least squares, as few slices are displaced and most lie right.
+//!
+//! On thick slices neighbours resemble each other little and the estimate is rough: on 10 mm slices of SCD0000201 it suggests up to 6.6 mm where
+//! the centroids of an expert's contours lie within 2 mm of their neighbours' mean. Hence nothing is corrected unless asked for.
 
 use nalgebra::{DMatrix, DVector, Vector2, Vector3};
 use rayon::prelude::*;

@@ -1,5 +1,6 @@
 //! A study file as written, the plan it means, and what is known of a run while it runs and when it ends.
 
+mod cine;
 mod config;
 mod error;
 mod outcome;
@@ -8,6 +9,7 @@ mod progress;
 mod provenance;
 mod reader;
 mod run;
+mod volumes;
 
 pub use config::{Config, Overrides};
 pub use error::{Problem, StudyError};
@@ -17,3 +19,4 @@ pub use progress::{Progress, RunContext, Silent};
 pub use provenance::Provenance;
 pub use reader::Choice;
 pub use run::{RunError, run};
+pub use volumes::{CurveSource, measure_volumes};

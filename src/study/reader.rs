@@ -207,6 +207,20 @@ impl<'a> TableReader<'a> {
         Some(path)
     }
 
+    /// An existing file or folder of the data folder, if it is written.
+    pub(super) fn data_path(&self, key: &'static str) -> Option<PathBuf> {
+        let path = self.reader.config.data_folder().join(self.text(key)?);
+        if path.is_dir() { Some(path) } else { self.data_file(key) }
+    }
+
+    /// An existing file or folder of the data folder that must be written.
+    pub(super) fn required_data_path(&self, key: &'static str) -> PathBuf {
+        if !self.has(key) {
+            self.missing(key, "the path of a file or a folder");
+        }
+        self.data_path(key).unwrap_or_default()
+    }
+
     /// An existing file of the data folder that must be written.
     pub(super) fn required_data_file(&self, key: &'static str) -> PathBuf {
         if !self.has(key) {

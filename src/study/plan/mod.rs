@@ -15,7 +15,7 @@ use std::path::PathBuf;
 
 pub use anatomy::{AnatomyPlan, AnatomySource, FibrePlan, IdealisedLv, LabelCodes};
 pub use beats::{Beats, BeatsPlan};
-pub use images::{ImageSource, ImagesPlan, ReferenceLabels};
+pub use images::{ImageSource, ImagesPlan, ReferenceLabels, VolumeSource};
 pub use mesh_file::{LengthUnit, MeshPlan, MeshSource};
 pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite};
 pub use output::OutputPlan;
@@ -106,7 +106,11 @@ impl Plan {
         }
         if let Some(ImageSource::Cine(images)) = &self.images {
             files.push(images.cine.clone());
-            files.extend(images.timing.clone());
+            files.extend([&images.timing, &images.long_axis, &images.long_axis_timing].into_iter().flatten().cloned());
+            match &images.volumes {
+                VolumeSource::Labels { path, .. } | VolumeSource::Table(path) => files.push(path.clone()),
+                VolumeSource::Images => {}
+            }
             files.extend(images.validation.iter().map(|labels| labels.path.clone()));
         }
         files

@@ -10,10 +10,10 @@ use crate::anatomy::mesher::MesherSettings;
 use crate::anatomy::{Anatomy, AnatomySettings, FibreRule, build_lv_from_fields};
 use crate::heart::{Parameter, Parameters};
 use crate::image::{
-    CineSequence, CineTiming, FieldOptions, LabelMap, PreprocessSettings, VentricleCodes, preprocess, read_cine, read_label_map,
-    ventricle_fields,
+    CineReading, CineSequence, FieldOptions, LabelMap, PreprocessSettings, VentricleCodes, preprocess, read_label_map, ventricle_fields,
 };
 use crate::study::RunContext;
+use crate::study::cine::StudyCine;
 use crate::study::plan::{AnatomyPlan, AnatomySource, IdealisedLv, ImageSource, ImagesPlan, Plan};
 
 /// A heart at rest with its images.
@@ -35,6 +35,8 @@ pub(super) struct Patient {
 pub(super) struct PatientImages {
     /// Preprocessed frames.
     pub(super) cine: CineSequence,
+    /// Preprocessed long-axis views at the heart period of the cine.
+    pub(super) long_axis: Vec<CineSequence>,
     /// The frame that the mesh was drawn on.
     pub(super) reference_frame: usize,
     /// Labels that nothing was fitted to, with their frame and the code of the LV cavity.
@@ -62,12 +64,17 @@ impl Patient {
             }
             (AnatomySource::Labels { path, codes, frame }, images) => {
                 context.progress().stage("reading images and labels", None);
-                let labels = read_label_map(path)?;
                 let mut warnings = Vec::new();
                 let mut parameters = plan.parameters.clone();
-                let images = match images {
-                    Some(ImageSource::Cine(images)) => Some(read_images(images, *frame, plan, &mut parameters, &mut warnings)?),
-                    _ => None,
+                let (labels, images) = match images {
+                    Some(ImageSource::Cine(images)) => {
+                        let period_s = plan.written.contains(&Parameter::HeartPeriod).then_some(parameters[Parameter::HeartPeriod]);
+                        let study = StudyCine::read(images, period_s)?;
+                        parameters.set(Parameter::HeartPeriod, study.cine.period_s())?;
+                        let labels = study.read_labels(path)?;
+                        (labels, Some(prepared_images(images, study, *frame, &mut warnings)?))
+                    }
+                    _ => (read_label_map(path)?, None),
                 };
                 context.progress().stage("building the anatomy", None);
                 let codes = VentricleCodes { cavity: to_code(codes.cavity_lv), wall: to_code(codes.wall_lv) };
@@ -109,27 +116,19 @@ fn to_code(code: u16) -> u8 {
     u8::try_from(code).unwrap_or(u8::MAX)
 }
 
-fn read_images(
+/// Images and labels as runs use them, all views prepared alike (\[Billet2009\] §6.2).
+fn prepared_images(
     images: &ImagesPlan,
+    study: StudyCine,
     reference_frame: usize,
-    plan: &Plan,
-    parameters: &mut Parameters,
     warnings: &mut Vec<String>,
 ) -> Result<PatientImages, RunError> {
-    let mut timing = images.timing.as_deref().map(CineTiming::from_sidecar).transpose()?.unwrap_or_default();
-    if plan.written.contains(&Parameter::HeartPeriod) {
-        timing.period_s = Some(plan.parameters[Parameter::HeartPeriod]);
-    }
-    timing.start_s = images.first_frame_s.or(timing.start_s);
-    let read = read_cine(&images.cine, &timing)?;
-    warnings.extend(read.warnings);
-    let frame_count = read.cine.frames().len();
+    let frame_count = study.cine.frames().len();
     let in_range = |key, frame| if frame < frame_count { Ok(frame) } else { Err(RunError::FrameOutOfRange { key, frame, frame_count }) };
     in_range("anatomy.frame", reference_frame)?;
-    parameters.set(Parameter::HeartPeriod, read.cine.period_s())?;
     let validation = images.validation.iter().map(|labels| {
         in_range("images.validation.frame", labels.frame)?;
-        Ok((labels.frame, read_label_map(&labels.path)?, to_code(labels.code_cavity_lv)))
+        Ok((labels.frame, study.read_labels(&labels.path)?, to_code(labels.code_cavity_lv)))
     });
     let validation = validation.collect::<Result<_, RunError>>()?;
     let settings = PreprocessSettings {
@@ -137,7 +136,13 @@ fn read_images(
         quantile_low: images.quantile_low,
         quantile_high: images.quantile_high,
     };
-    Ok(PatientImages { cine: preprocess(&read.cine, &settings)?, reference_frame, validation })
+    let mut long_axis = Vec::new();
+    for CineReading { cine, warnings: odd } in study.read_long_axis(images)? {
+        warnings.extend(odd);
+        long_axis.push(preprocess(&cine, &settings)?);
+    }
+    warnings.extend(study.warnings);
+    Ok(PatientImages { cine: preprocess(&study.cine, &settings)?, long_axis, reference_frame, validation })
 }
 
 /// What a study says of every anatomy.

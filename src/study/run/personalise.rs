@@ -447,7 +447,7 @@ fn draw(
         NamedMotion { name: "tracked", trajectory: &tracked.motion.trajectory },
         NamedMotion { name: "personalised model, no image forces", trajectory: &found.fitted },
     ];
-    pictures::montage(plan, patient, images, clock, &motions, "slices.png", "Short axis through the beat".into())?;
+    pictures::montages(plan, patient, images, clock, &motions)?;
     let cost = found.calibration.records.iter().map(|record| record.cost).collect();
     cost_over_iterations(&folder.join("cost.png"), &CostHistory { title: "Cost of the calibration".into(), cost })?;
     let intervals: Vec<_> = parameter_rows(found, tracked, &patient.parameters).into_iter().map(|row| interval(row, recovery)).collect();

@@ -181,40 +181,54 @@ pub(super) struct NamedMotion<'a> {
     pub(super) trajectory: &'a Trajectory,
 }
 
-/// Slices at several times of the beat, with the endocardium and epicardium of each motion on them.
-pub(super) fn montage(
+/// Slices of the short axis and of every further view at several times of the beat, with the surfaces of each motion on them.
+pub(super) fn montages(
     plan: &Plan,
     patient: &Patient,
     images: &PatientImages,
     clock: &Clock,
     motions: &[NamedMotion],
-    file: &str,
-    title: String,
 ) -> Result<(), RunError> {
-    let slices = slice_choice(patient, images, plan.output.montage_slices);
+    montage(plan, patient, &images.cine, clock, motions, "slices.png", "Short axis through the beat")?;
+    for (number, view) in images.long_axis.iter().enumerate() {
+        let file = if number == 0 { "long_axis.png".to_string() } else { format!("long_axis_{}.png", number + 1) };
+        montage(plan, patient, view, clock, motions, &file, "Long axis through the beat")?;
+    }
+    Ok(())
+}
+
+/// Slices of one view at several times of the beat, with the endocardium and epicardium of each motion on them.
+fn montage(
+    plan: &Plan,
+    patient: &Patient,
+    view: &CineSequence,
+    clock: &Clock,
+    motions: &[NamedMotion],
+    file: &str,
+    title: &str,
+) -> Result<(), RunError> {
+    let slices = slice_choice(patient, view, plan.output.montage_slices);
     let times = time_choice(clock, motions, plan.output.montage_times);
     let tags = [SurfaceTag::EndocardiumLv, SurfaceTag::EndocardiumRv, SurfaceTag::Epicardium];
-    let window = window_around(patient, images);
+    let window = window_around(patient, view);
     let mut panels = Vec::with_capacity(slices.len() * times.len());
     for &k in &slices {
         for &place in &times {
-            let mut panel = panel(&images.cine, clock.frames[place], k, window);
+            let mut panel = panel(view, nearest_frame(view, clock.times_s[place]), k, window);
             for (surface, motion) in motions.iter().enumerate() {
                 let Some(state) = motion.trajectory.frames.get(place) else { continue };
                 for tag in tags {
                     let triangles: Vec<_> = patient.anatomy.surface.triangles_with(tag).collect();
-                    let cut = tracking::Contour::of_surface(&triangles, &state.position_mm, images.cine.grid(), k);
-                    panel
-                        .contours
-                        .extend(cut.segments_mm().iter().map(|ends| Contour { surface, points_mm: in_slice(&images.cine, ends) }));
+                    let cut = tracking::Contour::of_surface(&triangles, &state.position_mm, view.grid(), k);
+                    panel.contours.extend(cut.segments_mm().iter().map(|ends| Contour { surface, points_mm: in_slice(view, ends) }));
                 }
             }
             panels.push(panel);
         }
     }
-    let step_mm = images.cine.grid().spacing_mm().z;
+    let step_mm = view.grid().spacing_mm().z;
     let figure = Montage {
-        title,
+        title: title.to_owned(),
         surfaces: motions.iter().map(|motion| motion.name.to_owned()).collect(),
         column_titles: times.iter().map(|&place| format!("{:.0} ms", clock.times_s[place] * MS_PER_S)).collect(),
         row_titles: slices.iter().map(|&k| format!("{:.0} mm", k as f64 * step_mm)).collect(),
@@ -225,8 +239,8 @@ pub(super) fn montage(
 }
 
 /// Slices evenly spread over the cavity, apex side first.
-fn slice_choice(patient: &Patient, images: &PatientImages, count: usize) -> Vec<usize> {
-    let grid = images.cine.grid();
+fn slice_choice(patient: &Patient, view: &CineSequence, count: usize) -> Vec<usize> {
+    let grid = view.grid();
     let cavity = &patient.anatomy.cavities[0].1;
     let heights = cavity.endocardium().iter().flatten().map(|&v| grid.to_voxel(&patient.anatomy.mesh.vertices_mm()[v]).z);
     let (low, high) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
@@ -254,13 +268,19 @@ fn time_choice(clock: &Clock, motions: &[NamedMotion], count: usize) -> Vec<usiz
     places
 }
 
+/// The frame nearest to a time.
+fn nearest_frame(view: &CineSequence, time_s: f64) -> usize {
+    let (earlier, later, weight) = view.frames_around(time_s);
+    if weight < 0.5 { earlier } else { later }
+}
+
 /// The voxels shown: first and last along i and j.
 type Window = [[usize; 2]; 2];
 
 /// The heart with 20 mm around it.
-fn window_around(patient: &Patient, images: &PatientImages) -> Window {
+fn window_around(patient: &Patient, view: &CineSequence) -> Window {
     const MARGIN_MM: f64 = 20.0;
-    let grid = images.cine.grid();
+    let grid = view.grid();
     let mut window = [[0; 2]; 2];
     for (axis, bounds) in window.iter_mut().enumerate() {
         let places = patient.anatomy.mesh.vertices_mm().iter().map(|v| grid.to_voxel(v)[axis]);

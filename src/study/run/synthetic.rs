@@ -60,6 +60,7 @@ pub(super) fn patient(plan: &Plan, shape: &IdealisedLv, phantom: &PhantomPlan, c
     let end_systole = imaged.volumes_ml.iter().enumerate().min_by(|a, b| a.1[0].total_cmp(&b.1[0])).map_or(0, |(frame, _)| frame);
     let images = PatientImages {
         cine: preprocess(&imaged.cine, &PreprocessSettings::default())?,
+        long_axis: Vec::new(),
         reference_frame: 0,
         validation: vec![(end_systole, imaged.labels[end_systole].clone(), LABEL_CAVITY_LV)],
     };

@@ -38,7 +38,7 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     if plan.output.figures {
         pictures::beat(plan, &clock, trajectory, &[])?;
         let motions = [NamedMotion { name: "tracked", trajectory }];
-        pictures::montage(plan, &patient, images, &clock, &motions, "slices.png", "Short axis through the beat".into())?;
+        pictures::montages(plan, &patient, images, &clock, &motions)?;
     }
     let details = Details { tracking: tracking_summary(&tracked), validation: validation_summary(&patient, images, &tracked) };
     let headlines = details.validation.iter().map(ValidationSummary::headline).collect();

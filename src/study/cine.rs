@@ -1,0 +1,75 @@
+//! The cine of a study as its file asks for it: NIfTI or DICOM, its slices moved into one breath-hold on request, further views at its
+//! heart period.
+
+use std::path::Path;
+
+use super::plan::ImagesPlan;
+use crate::image::{
+    CineReading, CineSequence, CineTiming, ImageError, LabelMap, SliceShifts, correct_label_shifts, correct_slice_shifts,
+    estimate_slice_shifts, read_cine_source, read_label_map, read_views,
+};
+use crate::units::MS_PER_S;
+
+/// Slices displaced by more than this are reported where they are not corrected, mm.
+const SHIFT_REPORTED_MM: f64 = 2.5;
+
+/// Heart periods of two breath-holds that differ by more than this share are reported.
+const PERIOD_REPORTED: f64 = 0.01;
+
+/// A cine, and how its slices were moved.
+pub(super) struct StudyCine {
+    pub(super) cine: CineSequence,
+    pub(super) warnings: Vec<String>,
+    /// By how much the slices were displaced before they were moved back; none where they were left.
+    corrected: Option<SliceShifts>,
+}
+
+impl StudyCine {
+    /// Reads the cine of a plan; `period_s` wins over the files' heart period.
+    pub(super) fn read(plan: &ImagesPlan, period_s: Option<f64>) -> Result<Self, ImageError> {
+        let mut timing = timing_of(plan.timing.as_deref())?;
+        timing.period_s = period_s.or(timing.period_s);
+        timing.start_s = plan.first_frame_s.or(timing.start_s);
+        let CineReading { cine, mut warnings } = read_cine_source(&plan.cine, &timing)?;
+        let shifts = estimate_slice_shifts(&cine);
+        let largest_mm = shifts.shift_mm.iter().map(|shift| shift.norm()).fold(0.0, f64::max);
+        if !plan.correct_slice_shifts {
+            if largest_mm > SHIFT_REPORTED_MM {
+                warnings.push(format!(
+                    "slices seem to lie up to {largest_mm:.1} mm beside their neighbours, by an estimate that is rough on thick slices; look at \
+                     `cardiotwin info`, and if they do, set images.correct_slice_shifts"
+                ));
+            }
+            return Ok(Self { cine, warnings, corrected: None });
+        }
+        warnings.push(format!("slices were moved back by up to {largest_mm:.1} mm into one breath-hold"));
+        Ok(Self { cine: correct_slice_shifts(&cine, &shifts)?, warnings, corrected: Some(shifts) })
+    }
+
+    /// A label map that was drawn on the cine as it was scanned, moved with its slices.
+    pub(super) fn read_labels(&self, path: &Path) -> Result<LabelMap, ImageError> {
+        let labels = read_label_map(path)?;
+        Ok(match &self.corrected {
+            Some(shifts) => correct_label_shifts(&labels, self.cine.grid(), shifts),
+            None => labels,
+        })
+    }
+
+    /// The long-axis views of a plan, phase by phase at the heart period of this cine.
+    pub(super) fn read_long_axis(&self, plan: &ImagesPlan) -> Result<Vec<CineReading>, ImageError> {
+        let Some(path) = &plan.long_axis else { return Ok(Vec::new()) };
+        let period_s = self.cine.period_s();
+        let at_own_period = |CineReading { cine, mut warnings }: CineReading| {
+            if (cine.period_s() / period_s - 1.0).abs() > PERIOD_REPORTED {
+                let [own_ms, common_ms] = [cine.period_s(), period_s].map(|s| s * MS_PER_S);
+                warnings.push(format!("long axis: a heart period of {own_ms:.0} ms, brought to {common_ms:.0} ms phase by phase"));
+            }
+            Ok(CineReading { cine: cine.at_period(period_s)?, warnings })
+        };
+        read_views(path, &timing_of(plan.long_axis_timing.as_deref())?)?.into_iter().map(at_own_period).collect()
+    }
+}
+
+fn timing_of(sidecar: Option<&Path>) -> Result<CineTiming, ImageError> {
+    Ok(sidecar.map(CineTiming::from_sidecar).transpose()?.unwrap_or_default())
+}
