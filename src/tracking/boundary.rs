@@ -24,6 +24,9 @@ pub struct BoundarySettings {
     pub agreement_rounds: usize,
     /// Error of the interpolation between slices at which confidence has fallen to a half, mm.
     pub slice_error_mm: f64,
+    /// Distance between the slices as acquired, along the k axis of the grid, mm; of the grid itself if nothing is said. To be given
+    /// for images that were resampled.
+    pub slice_distance_mm: Option<f64>,
 }
 
 impl Default for BoundarySettings {
@@ -36,6 +39,7 @@ impl Default for BoundarySettings {
             agreement_mm: 2.0,
             agreement_rounds: 4,
             slice_error_mm: 1.0,
+            slice_distance_mm: None,
         }
     }
 }
@@ -174,7 +178,8 @@ impl BoundarySearch {
         let SurfaceAppearance { contrast, contrast_median, gradient_threshold_per_mm, .. } = &self.appearance;
         let point_mm = origin_mm + normal * distance_mm;
         let gradient_per_mm = instant.gradient_per_mm(&point_mm)?;
-        if gradient_per_mm.norm() < *gradient_threshold_per_mm {
+        let slices = instant.resolution(self.settings.slice_distance_mm);
+        if gradient_per_mm.norm() < gradient_threshold_per_mm * slices.sharpness(normal) {
             return None;
         }
         let image_normal = gradient_per_mm.normalize() * contrast[place].signum();
@@ -183,7 +188,8 @@ impl BoundarySearch {
         let outer = side_intensity(instant, &point_mm, normal, &self.sides)?;
         let edge = ((outer - inner) / contrast[place]).clamp(0.0, 1.0);
         let learnt = (contrast[place].abs() / contrast_median).min(1.0);
-        let confidence = edge * learnt * angle * self.slice_confidence(normal, instant);
+        let blend = slices.blend_error_mm(normal) / self.settings.slice_error_mm;
+        let confidence = edge * learnt * angle / (1.0 + blend * blend);
         (confidence > 0.0).then_some(Candidate { distance_mm, normal: *normal, image_normal, confidence })
     }
 
@@ -191,18 +197,6 @@ impl BoundarySearch {
     fn angle_confidence(&self, cos_beta: f64) -> f64 {
         let (full, none) = (self.settings.angle_full_deg.to_radians().cos(), self.settings.angle_none_deg.to_radians().cos());
         if cos_beta >= full { 1.0 } else { ((cos_beta - none) / (full - none)).max(0.0) }
-    }
-
-    /// Between thick slices the trilinear image shows the boundaries of both slices blended, not the one between them. From slice
-    /// to slice, $d$ apart, the boundary moves by $d \tan\varphi$, φ the angle of N out of the slice; the blend errs by about a
-    /// quarter of that (the largest product of its weights), and voxels of the size of the pixels blur as much anyway:
-    /// $e = \tfrac14 (d - d_\text{pixel}) \tan\varphi$, $c = 1/(1 + (e/e_\text{half})^2)$.
-    fn slice_confidence(&self, normal: &Vector3<f64>, instant: &ImageInstant) -> f64 {
-        let (slice_normal, excess_mm) = instant.slice_normal_and_excess_mm();
-        let across = normal.dot(&slice_normal).abs().min(1.0);
-        let along_squared = 1.0 - across * across;
-        let error = 0.25 * excess_mm * across / self.settings.slice_error_mm;
-        if error == 0.0 { 1.0 } else { along_squared / (along_squared + error * error) }
     }
 
     fn neighbours_average(&self, chosen: &[Option<&Candidate>]) -> Vec<Option<f64>> {

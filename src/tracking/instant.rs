@@ -44,11 +44,40 @@ impl<'a> ImageInstant<'a> {
         Some(self.world_to_voxel.transpose() * slope)
     }
 
-    /// Unit normal of the slices (the planes of constant k) and by how much the distance between them exceeds the voxels in them, mm.
-    pub fn slice_normal_and_excess_mm(&self) -> (Vector3<f64>, f64) {
+    /// How the image resolves edges across planes, when it was acquired in slices `slice_distance_mm` apart along the grid's k axis
+    /// (the grid's own distance if nothing is said; resampling hides the slices but does not sharpen them).
+    pub fn resolution(&self, slice_distance_mm: Option<f64>) -> SliceResolution {
         let row = self.world_to_voxel.row(2).transpose();
-        let in_slice_mm = self.voxel_axes_mm.column(0).norm().max(self.voxel_axes_mm.column(1).norm());
-        (row.normalize(), (1.0 / row.norm() - in_slice_mm).max(0.0))
+        let pixel_mm = self.voxel_axes_mm.column(0).norm().max(self.voxel_axes_mm.column(1).norm());
+        SliceResolution { normal: row.normalize(), distance_mm: slice_distance_mm.unwrap_or(1.0 / row.norm()).max(pixel_mm), pixel_mm }
+    }
+}
+
+/// The slices that an image was acquired in.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SliceResolution {
+    /// Unit normal of the slices.
+    pub normal: Vector3<f64>,
+    /// Distance between slices, mm; at least a pixel.
+    pub distance_mm: f64,
+    /// Size of a pixel in the slice, mm.
+    pub pixel_mm: f64,
+}
+
+impl SliceResolution {
+    /// How sharp an edge across `normal` can be, relative to one in the slice: the pixel over the width of a voxel along the normal,
+    /// $d_\text{pixel}/\sqrt{(d_\text{pixel}\cos\varphi)^2 + (d\sin\varphi)^2}$, φ the angle of the normal out of the slice.
+    pub fn sharpness(&self, normal: &Vector3<f64>) -> f64 {
+        let across = normal.dot(&self.normal).abs().min(1.0);
+        self.pixel_mm / (self.pixel_mm.powi(2) * (1.0 - across * across) + (self.distance_mm * across).powi(2)).sqrt()
+    }
+
+    /// Error along `normal` of a boundary between thick slices, mm. The trilinear image shows there the boundaries of both slices
+    /// blended, not the one between them. From slice to slice, $d$ apart, the boundary moves by $d \tan\varphi$ in the slice, which
+    /// is $d \sin\varphi$ along the normal; the blend errs by about a quarter of that (the largest product of its weights), and
+    /// voxels of the size of the pixels blur as much anyway: $e = \tfrac14 (d - d_\text{pixel}) |\sin\varphi|$.
+    pub fn blend_error_mm(&self, normal: &Vector3<f64>) -> f64 {
+        0.25 * (self.distance_mm - self.pixel_mm) * normal.dot(&self.normal).abs()
     }
 }
 
@@ -80,8 +109,10 @@ mod tests {
         let point = grid.to_world_mm(&Vector3::new(3.3, 4.8, 2.4));
         assert!((instant.value(&point).unwrap() - slope.dot(&point)).abs() < 1e-4);
         assert!((instant.gradient_per_mm(&point).unwrap() - slope).norm() < 1e-4);
-        let (normal, excess_mm) = instant.slice_normal_and_excess_mm();
-        assert!((excess_mm - 7.6).abs() < 1e-12 && (normal - rotation.fixed_view::<3, 1>(0, 2)).norm() < 1e-12);
+        let slices = instant.resolution(None);
+        assert!((slices.distance_mm - 9.0).abs() < 1e-12 && (slices.normal - rotation.fixed_view::<3, 1>(0, 2)).norm() < 1e-12);
+        assert!((slices.sharpness(&slices.normal) - 1.4 / 9.0).abs() < 1e-12);
+        assert!((slices.blend_error_mm(&slices.normal) - 1.9).abs() < 1e-12);
         assert!(instant.value(&grid.to_world_mm(&Vector3::new(3.0, 4.0, 4.6))).is_none());
         let last = grid.to_world_mm(&Vector3::new(3.0, 4.0, 4.0));
         let beyond = instant.value(&grid.to_world_mm(&Vector3::new(3.0, 4.0, 4.4))).unwrap();

@@ -35,7 +35,7 @@ pub use block_matching::{BlockMatchingSettings, Similarity, match_base};
 pub use boundary::{BoundarySearch, BoundarySettings, BoundaryTarget, SurfaceTargets};
 pub use error::TrackingError;
 pub use image_force::{ImageForce, SurfaceGain};
-pub use instant::ImageInstant;
+pub use instant::{ImageInstant, SliceResolution};
 pub use residuals::{SurfaceResidual, TrackedFrame};
 pub use scheme::{ForceScheme, VertexLoad};
 pub use section::Contour;

@@ -37,6 +37,8 @@ pub(super) struct PatientImages {
     pub(super) cine: CineSequence,
     /// Preprocessed long-axis views at the heart period of the cine.
     pub(super) long_axis: Vec<CineSequence>,
+    /// Distance between the slices as acquired, mm; the prepared images no longer show it.
+    pub(super) slice_distance_mm: f64,
     /// The frame that the mesh was drawn on.
     pub(super) reference_frame: usize,
     /// Labels that nothing was fitted to, with their frame and the code of the LV cavity.
@@ -142,7 +144,8 @@ fn prepared_images(
         long_axis.push(preprocess(&cine, &settings)?);
     }
     warnings.extend(study.warnings);
-    Ok(PatientImages { cine: preprocess(&study.cine, &settings)?, long_axis, reference_frame, validation })
+    let slice_distance_mm = study.cine.grid().spacing_mm().z;
+    Ok(PatientImages { cine: preprocess(&study.cine, &settings)?, long_axis, slice_distance_mm, reference_frame, validation })
 }
 
 /// What a study says of every anatomy.

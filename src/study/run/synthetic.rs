@@ -61,6 +61,7 @@ pub(super) fn patient(plan: &Plan, shape: &IdealisedLv, phantom: &PhantomPlan, c
     let images = PatientImages {
         cine: preprocess(&imaged.cine, &PreprocessSettings::default())?,
         long_axis: Vec::new(),
+        slice_distance_mm: imaged.cine.grid().spacing_mm().z,
         reference_frame: 0,
         validation: vec![(end_systole, imaged.labels[end_systole].clone(), LABEL_CAVITY_LV)],
     };

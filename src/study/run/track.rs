@@ -143,6 +143,7 @@ fn tracker_settings(plan: &TrackingPlan, images: &PatientImages) -> TrackerSetti
         range_mm: plan.search_range_mm,
         sample_mm: plan.search_step_mm,
         angle_none_deg: plan.max_angle_deg,
+        slice_distance_mm: Some(images.slice_distance_mm),
         ..BoundarySettings::default()
     };
     TrackerSettings {
