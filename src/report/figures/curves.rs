@@ -10,6 +10,17 @@ use super::style::*;
 use crate::report::ReportError;
 use crate::units::{KPA_PER_MMHG, MS_PER_S};
 
+/// Any quantity over the beat.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TimeCurves {
+    /// Title.
+    pub title: String,
+    /// What the ordinate is, with its unit.
+    pub quantity: String,
+    /// Curves over s.
+    pub curves: Vec<Curve>,
+}
+
 /// Volumes of one ventricle over the beat.
 #[derive(Debug, Clone, PartialEq)]
 pub struct VolumeCurves {
@@ -54,17 +65,17 @@ pub struct CostHistory {
     pub cost: Vec<f64>,
 }
 
-/// Draws volumes over time.
+/// Draws a quantity over time.
 ///
 /// # Errors
 /// [`ReportError`] if the figure cannot be drawn or written.
-pub fn volume_curves(file: &Path, figure: &VolumeCurves) -> Result<(), ReportError> {
+pub fn time_curves(file: &Path, figure: &TimeCurves) -> Result<(), ReportError> {
     let curves = in_ms(&figure.curves, 1.0);
-    picture(file, "the volume curves", (1500, 950), |area| {
+    picture(file, "the curves", (1500, 950), |area| {
         let below = headed(area, &figure.title, &legend_of(&curves))?;
         let axes = Axes {
             x_title: "time after the trigger (ms)",
-            y_title: &format!("{} (mL)", figure.quantity),
+            y_title: &figure.quantity,
             x: padded(abscissae(&curves), 0.02, 0.02),
             y: padded(ordinates(&curves), 0.1, 0.1),
         };
@@ -72,6 +83,15 @@ pub fn volume_curves(file: &Path, figure: &VolumeCurves) -> Result<(), ReportErr
         decorate(area, &chart, &axes, &ticks(axes.x, 8), &ticks(axes.y, 7))?;
         draw_curves(&mut chart, &curves)
     })
+}
+
+/// Draws volumes over time.
+///
+/// # Errors
+/// As [`time_curves`].
+pub fn volume_curves(file: &Path, figure: &VolumeCurves) -> Result<(), ReportError> {
+    let VolumeCurves { title, quantity, curves } = figure.clone();
+    time_curves(file, &TimeCurves { title, quantity: format!("{quantity} (mL)"), curves })
 }
 
 /// Draws pressures in mmHg above the volume, both over time with the phases of the beat behind them.

@@ -10,7 +10,9 @@ mod style;
 mod surface;
 
 pub use chart::{Curve, Look};
-pub use curves::{BeatCurves, CostHistory, TimeBand, VolumeCurves, beat_curves, cost_over_iterations, volume_curves};
+pub use curves::{
+    BeatCurves, CostHistory, TimeBand, TimeCurves, VolumeCurves, beat_curves, cost_over_iterations, time_curves, volume_curves,
+};
 pub use loops::{LoopPoint, PressureVolumeLoop, pressure_volume_loop};
 pub use montage::{Contour, Montage, MontagePanel, slice_montage};
 pub use parameters::{ParameterInterval, parameter_intervals};

@@ -2,6 +2,7 @@
 
 mod anatomy;
 mod beats;
+mod comparison;
 mod images;
 mod mesh_file;
 mod model;
@@ -15,6 +16,7 @@ use std::path::PathBuf;
 
 pub use anatomy::{AnatomyPlan, AnatomySource, FibrePlan, IdealisedLv, LabelCodes};
 pub use beats::{Beats, BeatsPlan};
+pub use comparison::ComparisonPlan;
 pub use images::{ImageSource, ImagesPlan, ReferenceLabels, VolumeSource};
 pub use mesh_file::{LengthUnit, MeshPlan, MeshSource};
 pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite};
@@ -49,6 +51,8 @@ words! {
         Simulate = "simulate",
         /// The proactive heart follows images with fixed parameters, \[Billet2009\] §4–5.
         Track = "track",
+        /// Tracks a synthetic heart by every force scheme, \[Billet2009\] §6.1.
+        CompareSchemes = "compare_schemes",
         /// Tracks, then finds parameters from the motion.
         Personalise = "personalise",
     }
@@ -73,6 +77,8 @@ pub struct Plan {
     pub simulation: BeatsPlan,
     /// How images pull on the heart.
     pub tracking: TrackingPlan,
+    /// Time steps and gains of [`Kind::CompareSchemes`].
+    pub comparison: Option<ComparisonPlan>,
     /// What is to be found; none unless the kind is [`Kind::Personalise`].
     pub personalisation: Option<PersonalisationPlan>,
     /// Where results go.
@@ -141,6 +147,7 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
     circulation.parameters(Section::Circulation, &mut parameters, &mut written);
     circulation.close();
     let tracking = tracking::read(root.table("tracking"), &mut parameters, &mut written);
+    let comparison = comparison::read(root.table("comparison"));
     let personalisation = personalisation::read(root.table("personalisation"), &parameters);
     let output = output::read(config, root.table("output"));
 
@@ -151,11 +158,14 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
     if matches!((kind, simulation.beats), (Some(Kind::Track | Kind::Personalise), Beats::Periodic(_))) {
         root.problem("simulation.beats", "needs a heart without images", "write a number of beats");
     }
+    if comparison.is_some() && kind != Some(Kind::CompareSchemes) {
+        root.problem("comparison", "is of no use here", "write kind = \"compare_schemes\", or take the table away");
+    }
     match (kind, &personalisation) {
         (Some(Kind::Personalise), None) => {
             root.missing("personalisation", "[personalisation] with a [[personalisation.parameter]] for each free parameter")
         }
-        (Some(Kind::Simulate | Kind::Track), Some(_)) => {
+        (Some(Kind::Simulate | Kind::Track | Kind::CompareSchemes), Some(_)) => {
             root.problem("personalisation", "is of no use here", "write kind = \"personalise\", or take the table away")
         }
         _ => {}
@@ -170,6 +180,7 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
         model,
         simulation,
         tracking,
+        comparison,
         personalisation,
         output,
         provenance: Provenance::new(config),
@@ -199,9 +210,13 @@ fn images_of(
             root.problem("images", "need labels that were drawn on them", "write labels in [anatomy], or [phantom] in place of [images]");
             None
         }
+        (Some(_), None) if kind == Some(Kind::CompareSchemes) => {
+            root.problem("images", "have no truth to compare with", "write [phantom] in place of [images]");
+            None
+        }
         (Some(images), None) => Some(ImageSource::Cine(images)),
         (None, Some(phantom)) => Some(ImageSource::Phantom(phantom)),
-        (None, None) if matches!(kind, Some(Kind::Track | Kind::Personalise)) => {
+        (None, None) if matches!(kind, Some(Kind::Track | Kind::CompareSchemes | Kind::Personalise)) => {
             root.missing("images", "[images] with a cine, or [phantom] to make one");
             None
         }

@@ -2,6 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use nalgebra::Vector3;
+
 use super::words;
 use crate::heart::{Parameter, Parameters};
 use crate::study::reader::TableReader;
@@ -27,6 +29,12 @@ pub struct PhantomPlan {
     pub anatomy: ModelAnatomy,
     /// `frames`: images of the beat.
     pub frames: usize,
+    /// `reference_frame`: the image whose shape the model takes for its own at rest, and starts from.
+    pub reference_frame: usize,
+    /// `reference_scale`: factor on that shape about its centre; other than 1 for a mesh that was drawn wrongly.
+    pub reference_scale: f64,
+    /// `reference_shift_mm`: shift of that shape.
+    pub reference_shift_mm: Vector3<f64>,
     /// `voxel_size_mm`: voxel edge within a slice.
     pub voxel_size_mm: f64,
     /// `slice_thickness_mm`: slices average over it and touch each other.
@@ -60,6 +68,9 @@ pub(super) fn read(table: TableReader) -> Option<PhantomPlan> {
         tolerances,
         anatomy: table.choice("anatomy", ModelAnatomy::Truth),
         frames: table.count("frames", 4..=200, 30),
+        reference_frame: table.count("reference_frame", 0..=199, 0),
+        reference_scale: table.number("reference_scale", 0.5..=2.0, 1.0),
+        reference_shift_mm: table.vector("reference_shift_mm").unwrap_or_default(),
         voxel_size_mm: table.number("voxel_size_mm", 0.5..=10.0, 1.5),
         slice_thickness_mm: table.number("slice_thickness_mm", 0.5..=20.0, 8.0),
         noise: table.number("noise", 0.0..=1.0, 0.03),
@@ -68,6 +79,9 @@ pub(super) fn read(table: TableReader) -> Option<PhantomPlan> {
         bias: table.number("bias", 0.0..=0.9, 0.1),
         seed: table.count("seed", 0..=i64::MAX, 1) as u64,
     });
+    if let Some(plan) = plan.as_ref().filter(|plan| plan.reference_frame >= plan.frames) {
+        table.problem("reference_frame", "is no image of the beat", format!("choose at most {}", plan.frames - 1));
+    }
     table.close();
     plan
 }

@@ -2,6 +2,7 @@
 
 mod calibration;
 mod clock;
+mod compare_schemes;
 mod error;
 mod forward;
 mod leave;
@@ -31,6 +32,7 @@ pub fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
     match plan.kind {
         Kind::Simulate => simulate::run(plan, context),
         Kind::Track => track_only::run(plan, context),
+        Kind::CompareSchemes => compare_schemes::run(plan, context),
         Kind::Personalise => personalise::run(plan, context),
     }
 }

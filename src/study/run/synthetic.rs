@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use nalgebra::Vector3;
+
 use super::clock::Clock;
 use super::error::RunError;
 use super::forward::{beat, frame_volumes_lv_ml, heart_model, step_count};
@@ -9,6 +11,7 @@ use super::patient::{Patient, PatientImages, anatomy_from_labels, idealised_anat
 use crate::anatomy::Anatomy;
 use crate::heart::{FrameState, Parameter, Parameters};
 use crate::image::{PreprocessSettings, VentricleCodes, preprocess};
+use crate::mesh::TetMesh;
 use crate::phantom::{LABEL_CAVITY_LV, LABEL_WALL, ShortAxisStack, SyntheticCineSettings, synthetic_cine};
 use crate::study::RunContext;
 use crate::study::plan::{IdealisedLv, ModelAnatomy, PhantomPlan, Plan};
@@ -51,24 +54,26 @@ pub(super) fn patient(plan: &Plan, shape: &IdealisedLv, phantom: &PhantomPlan, c
     let imaged = synthetic_cine(&anatomy, &positions, &times_s, period_s, &stack.grid(&anatomy)?, &imaging(phantom))?;
 
     let mut warnings = Vec::new();
+    let reference_frame = phantom.reference_frame;
     let codes = VentricleCodes { cavity: LABEL_CAVITY_LV, wall: LABEL_WALL };
     let seen = match phantom.anatomy {
-        ModelAnatomy::Truth => Arc::clone(&anatomy),
-        ModelAnatomy::Labels => Arc::new(anatomy_from_labels(&plan.anatomy, &imaged.labels[0], &codes, &mut warnings)?),
+        ModelAnatomy::Truth => as_drawn(&anatomy, &trajectory.frames[reference_frame], phantom)?,
+        ModelAnatomy::Labels => anatomy_from_labels(&plan.anatomy, &imaged.labels[reference_frame], &codes, &mut warnings)?,
     };
-    let volumes_lv_ml = frame_volumes_lv_ml(&trajectory);
     let end_systole = imaged.volumes_ml.iter().enumerate().min_by(|a, b| a.1[0].total_cmp(&b.1[0])).map_or(0, |(frame, _)| frame);
     let images = PatientImages {
         cine: preprocess(&imaged.cine, &PreprocessSettings::default())?,
         long_axis: Vec::new(),
         slice_distance_mm: imaged.cine.grid().spacing_mm().z,
-        reference_frame: 0,
+        reference_frame,
         validation: vec![(end_systole, imaged.labels[end_systole].clone(), LABEL_CAVITY_LV)],
     };
-    let truth = Truth { parameters: parameters.clone(), volumes_lv_ml, anatomy, frames: trajectory.frames };
+    let volumes_lv_ml = from_reference(reference_frame, &frame_volumes_lv_ml(&trajectory));
+    let frames = from_reference(reference_frame, &trajectory.frames);
+    let truth = Truth { parameters: parameters.clone(), volumes_lv_ml, anatomy, frames };
     let model_parameters = plan.parameters.clone().with(Parameter::HeartPeriod, period_s)?;
     Ok(Patient {
-        anatomy: seen,
+        anatomy: Arc::new(seen),
         parameters: model_parameters,
         images: Some(images),
         truth: Some(truth),
@@ -76,6 +81,20 @@ pub(super) fn patient(plan: &Plan, shape: &IdealisedLv, phantom: &PhantomPlan, c
         frames_without_images: plan.simulation.frames,
         warnings,
     })
+}
+
+/// The true heart, at rest in the shape of one instant of its beat, scaled about its centre and shifted.
+fn as_drawn(anatomy: &Anatomy, frame: &FrameState, phantom: &PhantomPlan) -> Result<Anatomy, RunError> {
+    let true_mm = &frame.position_mm;
+    let centre_mm = true_mm.iter().sum::<Vector3<f64>>() / true_mm.len() as f64;
+    let drawn = |p: &Vector3<f64>| p + (p - centre_mm) * (phantom.reference_scale - 1.0) + phantom.reference_shift_mm;
+    let mesh = TetMesh::new(true_mm.iter().map(drawn).collect(), anatomy.mesh.tetrahedra().to_vec())?;
+    Ok(Anatomy { mesh, ..anatomy.clone() })
+}
+
+/// What was seen at the frames of a beat (its first again last), in the order of a beat that starts at the frame `reference`.
+fn from_reference<T: Clone>(reference: usize, beat: &[T]) -> Vec<T> {
+    beat[reference..].iter().chain(&beat[1..=reference]).cloned().collect()
 }
 
 fn imaging(phantom: &PhantomPlan) -> SyntheticCineSettings {

@@ -104,7 +104,7 @@ fn choose_gains(
 }
 
 /// All image gains of endocardia and epicardium times `factor`.
-fn scaled_gains(parameters: &Parameters, factor: f64) -> Result<Parameters, RunError> {
+pub(super) fn scaled_gains(parameters: &Parameters, factor: f64) -> Result<Parameters, RunError> {
     let gains = [Parameter::ImageGainEndocardiumLv, Parameter::ImageGainEndocardiumRv, Parameter::ImageGainEpicardium];
     let mut scaled = parameters.clone();
     for gain in gains {
@@ -126,7 +126,7 @@ pub(super) fn surface_rms_mm(motion: &TrackedMotion, tag: SurfaceTag) -> Option<
     (!values.is_empty()).then(|| crate::numerics::root_mean_square(&values))
 }
 
-fn tracker_settings(plan: &TrackingPlan, images: &PatientImages) -> TrackerSettings {
+pub(super) fn tracker_settings(plan: &TrackingPlan, images: &PatientImages) -> TrackerSettings {
     let blocks = BlockMatchingSettings::default();
     let block_radius_voxels = (0.5 * (plan.block_size_mm / blocks.voxel_mm - 1.0)).round().max(1.0) as usize;
     let base = match plan.base {
