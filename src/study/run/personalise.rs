@@ -1,7 +1,6 @@
 //! `kind = "personalise"`: track the images, take the volume curve and the boundaries, find the parameters of the free heart, rescore it
 //! without image forces, say how sure that is.
 
-use std::sync::Arc;
 use std::time::Instant;
 
 use nalgebra::{DVector, Vector3};
@@ -229,7 +228,8 @@ fn recovery<'a>(plan: &Plan, patient: &'a Patient, tracked: &'a Tracked, found: 
     let (truth, Some(ImageSource::Phantom(phantom))) = (patient.truth.as_ref()?, &plan.images) else { return None };
     let parameters: Vec<_> = found.space.free().map(|free| recovered(free.parameter, &truth.parameters, found, phantom)).collect();
     let tracked_ml = frame_volumes_lv_ml(&tracked.motion.trajectory);
-    let same_mesh = Arc::ptr_eq(&truth.anatomy, &patient.anatomy);
+    // The same vertices of the same tissue, whatever instant they were drawn on.
+    let same_mesh = truth.anatomy.mesh.tetrahedra() == patient.anatomy.mesh.tetrahedra();
     let rest_mm = patient.anatomy.mesh.vertices_mm();
     let rmse = |position_of: &dyn Fn(usize) -> Option<&'a [Vector3<f64>]>| same_mesh.then(|| position_rmse_mm(&truth.frames, position_of));
     Some(Recovery {
