@@ -27,6 +27,8 @@ pub(super) enum Command {
     Info(InfoArguments),
     /// Measure the volume curve of the left ventricle: end-diastole, end-systole, diastasis, ejection fraction
     Volumes(VolumesArguments),
+    /// Move points with the heart of a finished run and write their paths
+    Follow(FollowArguments),
     /// List every parameter of the model: name, unit, default, range, meaning, source
     Parameters,
 }
@@ -89,6 +91,19 @@ fn slice_range(text: &str) -> Result<[usize; 2], String> {
     let ends = text.split_once("..").and_then(|(first, last)| Some([first.parse().ok()?, last.parse().ok()?]));
     ends.filter(|[first, last]: &[usize; 2]| first <= last && *last < usize::MAX)
         .ok_or_else(|| "write two whole numbers, such as 3..10".to_string())
+}
+
+#[derive(Debug, Args)]
+pub(super) struct FollowArguments {
+    /// Folder of a run that wrote its meshes; paths.csv is written there
+    #[arg(value_name = "DIR")]
+    pub(super) folder: PathBuf,
+    /// CSV file with the columns point, x_mm, y_mm, z_mm: world coordinates (RAS)
+    #[arg(long, value_name = "FILE")]
+    pub(super) points: PathBuf,
+    /// Frame of the cine that the points were drawn on; the one that the run starts from where absent
+    #[arg(long, value_name = "N")]
+    pub(super) frame: Option<usize>,
 }
 
 #[derive(Debug, Args)]

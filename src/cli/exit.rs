@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use crate::image::ImageError;
-use crate::study::{RunError, Status, StudyError};
+use crate::study::{FollowError, RunError, Status, StudyError};
 
 /// How the program ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,9 +43,11 @@ impl From<&anyhow::Error> for Exit {
     fn from(error: &anyhow::Error) -> Self {
         match error.downcast_ref::<RunError>() {
             Some(RunError::Stopped) => Self::Interrupted,
-            Some(RunError::Image(_) | RunError::FrameOutOfRange { .. } | RunError::NothingToFit) => Self::BadInput,
+            Some(RunError::Image(_) | RunError::FrameOutOfRange { .. } | RunError::BaseMotion { .. } | RunError::NothingToFit) => {
+                Self::BadInput
+            }
             Some(_) => Self::Failed,
-            None if error.is::<StudyError>() || error.is::<ImageError>() => Self::BadInput,
+            None if error.is::<StudyError>() || error.is::<ImageError>() || error.is::<FollowError>() => Self::BadInput,
             None => Self::Failed,
         }
     }

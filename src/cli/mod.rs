@@ -14,9 +14,9 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::Parser;
 
-use self::arguments::{Arguments, Command, StudyArguments};
+use self::arguments::{Arguments, Command, FollowArguments, StudyArguments};
 use self::exit::Exit;
-use crate::study::{Config, Plan, StudyError};
+use crate::study::{Config, Plan, StudyError, follow};
 
 /// Runs the program with the arguments of the process.
 pub fn main() -> ExitCode {
@@ -28,6 +28,7 @@ pub fn main() -> ExitCode {
         Command::Check(arguments) => check_study(arguments),
         Command::Info(arguments) => info::show(&arguments),
         Command::Volumes(arguments) => volumes::measure(arguments),
+        Command::Follow(arguments) => follow_points(&arguments),
         Command::Parameters => print(&messages::parameter_table()).map(|()| Exit::Done),
     };
     let exit = result.unwrap_or_else(|error| {
@@ -44,6 +45,15 @@ fn plan_of(arguments: StudyArguments) -> Result<Plan, StudyError> {
 
 fn check_study(arguments: StudyArguments) -> anyhow::Result<Exit> {
     print(&messages::plan_lines(&plan_of(arguments)?))?;
+    Ok(Exit::Done)
+}
+
+fn follow_points(arguments: &FollowArguments) -> anyhow::Result<Exit> {
+    let followed = follow(&arguments.folder, &arguments.points, arguments.frame)?;
+    for warning in &followed.warnings {
+        say(&format!("warning: {warning}"));
+    }
+    print(&format!("{} places; they are in {}\n", followed.paths.len(), arguments.folder.join("paths.csv").display()))?;
     Ok(Exit::Done)
 }
 

@@ -3,6 +3,7 @@
 mod cine;
 mod config;
 mod error;
+mod follow;
 mod outcome;
 pub mod plan;
 mod progress;
@@ -13,6 +14,7 @@ mod volumes;
 
 pub use config::{Config, Overrides};
 pub use error::{Problem, StudyError};
+pub use follow::{FollowError, Followed, follow};
 pub use outcome::{Outcome, Status};
 pub use plan::{Kind, Plan};
 pub use progress::{Progress, RunContext, Silent};

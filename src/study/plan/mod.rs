@@ -119,6 +119,7 @@ impl Plan {
             }
             files.extend(images.validation.iter().map(|labels| labels.path.clone()));
         }
+        files.extend(self.tracking.base_motion.clone());
         files
     }
 }

@@ -1,6 +1,7 @@
 //! `[tracking]` beyond the gains of the parameter table: force scheme, boundary search and the base, \[Billet2009\] §4–5.
 
 use std::collections::BTreeSet;
+use std::path::PathBuf;
 
 use super::words;
 use crate::heart::{Parameter, Parameters, Section};
@@ -29,6 +30,8 @@ words! {
         Springs = "springs",
         /// Springs to block-matched positions.
         BlockMatching = "block_matching",
+        /// Springs to the motion that an earlier run left.
+        Recorded = "recorded",
     }
 }
 
@@ -61,6 +64,8 @@ pub struct TrackingPlan {
     pub seed: u64,
     /// `base`.
     pub base: BaseMode,
+    /// `base_motion`: the `base_motion.csv` of an earlier run on the same mesh, for `base = "recorded"`.
+    pub base_motion: Option<PathBuf>,
     /// `base_projection`: which part of the way to a matched block is pulled.
     pub base_projection: BaseProjection,
     /// `similarity`.
@@ -84,6 +89,7 @@ pub(super) fn read(table: TableReader, parameters: &mut Parameters, written: &mu
         held_out_fraction: table.number("held_out_fraction", 0.0..=0.5, 0.1),
         seed: table.count("seed", 0..=i64::MAX, 1) as u64,
         base: table.choice("base", BaseMode::BlockMatching),
+        base_motion: table.data_file("base_motion"),
         base_projection: table.choice("base_projection", BaseProjection::default()),
         similarity: table.choice("similarity", Similarity::default()),
         block_size_mm: table.number("block_size_mm", 2.0..=60.0, block_size_mm),
@@ -91,6 +97,11 @@ pub(super) fn read(table: TableReader, parameters: &mut Parameters, written: &mu
     };
     if plan.search_step_mm > plan.search_range_mm {
         table.problem("search_step_mm", "is longer than search_range_mm", format!("choose at most {}", plan.search_range_mm));
+    }
+    match (plan.base, &plan.base_motion) {
+        (BaseMode::Recorded, None) if !table.has("base_motion") => table.missing("base_motion", "the base_motion.csv of an earlier run"),
+        (BaseMode::Recorded, _) | (_, None) => {}
+        (_, Some(_)) => table.problem("base_motion", "is of no use here", "write base = \"recorded\", or take it away"),
     }
     if plan.gains == GainChoice::HeldOut && plan.held_out_fraction == 0.0 {
         table.problem("gains", "needs points that are held out", "choose held_out_fraction above 0, or gains = \"written\"");

@@ -201,7 +201,7 @@ fn attempt(
     let factor = if case.scheme == Scheme::Without { 0.0 } else { case.gain_factor };
     let model = heart_model(&model_plan, &patient.anatomy, scaled_gains(&patient.parameters, factor)?)?;
     let scheme = if let Scheme::With(scheme) = case.scheme { scheme } else { ForceScheme::default() };
-    let settings = TrackerSettings { scheme, ..tracker_settings(&plan.tracking, images) };
+    let settings = TrackerSettings { scheme, ..tracker_settings(plan, patient, images)? };
     let mut watch = Watch::new(patient, case);
     let motion = track(&model, &images.cine, &settings, &mut |state, _| {
         let is_whole = watch.see(state, patient);

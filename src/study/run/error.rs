@@ -48,6 +48,9 @@ pub enum RunError {
     /// A parameter value.
     #[error(transparent)]
     OutOfRange(#[from] OutOfRange),
+    /// A recorded motion of the base that cannot be used.
+    #[error("the base motion {} cannot be used: {reason}", file.display())]
+    BaseMotion { file: std::path::PathBuf, reason: String },
     /// A file that could not be written.
     #[error(transparent)]
     Report(#[from] ReportError),

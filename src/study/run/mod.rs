@@ -10,6 +10,7 @@ mod mesh_file;
 mod patient;
 mod personalise;
 mod pictures;
+mod recorded_base;
 mod simulate;
 mod start;
 mod synthetic;

@@ -11,6 +11,7 @@ use super::forward::{beat, heart_model, observables, step_count};
 use super::leave::{BeatSummary, Summary, frame_rows, write_beat};
 use super::patient::Patient;
 use super::pictures;
+use super::recorded_base::with_recorded_base;
 use crate::heart::{HeartModel, Periodicity, Trajectory, simulate_until_periodic};
 use crate::mesh::MeshQuality;
 use crate::report::write_json;
@@ -38,7 +39,7 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let started = Instant::now();
     let mut patient = Patient::new(plan, context)?;
     context.progress().stage("activating and assembling", None);
-    let model = heart_model(&plan.model, &patient.anatomy, patient.parameters.clone())?;
+    let model = with_recorded_base(plan, heart_model(&plan.model, &patient.anatomy, patient.parameters.clone())?)?;
     let Beaten { trajectory, clock, status, details } = match plan.simulation.beats {
         Beats::Count(count) => count_beats(&model, patient.clock(count), count, context)?,
         Beats::Periodic(periodicity) => beat_until_periodic(&model, &patient, periodicity, context)?,

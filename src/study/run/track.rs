@@ -5,11 +5,12 @@ use std::ops::ControlFlow;
 use super::error::RunError;
 use super::forward::{heart_model, step_count};
 use super::patient::{Patient, PatientImages};
+use super::recorded_base::read_base_motion;
 use crate::heart::{HeartModel, Parameter, Parameters};
 use crate::mesh::SurfaceTag;
 use crate::personalisation::{self, GainSearch};
 use crate::study::RunContext;
-use crate::study::plan::{BaseMode, GainChoice, Plan, TrackingPlan};
+use crate::study::plan::{BaseMode, GainChoice, Plan};
 use crate::tracking::{
     self, BaseMode as TrackerBase, BlockMatchingSettings, BoundarySettings, CavityAgreement, TrackedMotion, TrackerSettings, track,
 };
@@ -31,7 +32,7 @@ pub(super) fn track_patient(
     context: &RunContext,
 ) -> Result<Tracked, RunError> {
     let model = heart_model(&plan.model, &patient.anatomy, parameters)?;
-    let settings = tracker_settings(&plan.tracking, images);
+    let settings = tracker_settings(plan, patient, images)?;
     let gain_choice = match plan.tracking.gains {
         GainChoice::Written => None,
         GainChoice::HeldOut => Some(choose_gains(&model, images, &settings, context)?),
@@ -126,12 +127,18 @@ pub(super) fn surface_rms_mm(motion: &TrackedMotion, tag: SurfaceTag) -> Option<
     (!values.is_empty()).then(|| crate::numerics::root_mean_square(&values))
 }
 
-pub(super) fn tracker_settings(plan: &TrackingPlan, images: &PatientImages) -> TrackerSettings {
+pub(super) fn tracker_settings(plan: &Plan, patient: &Patient, images: &PatientImages) -> Result<TrackerSettings, RunError> {
+    let period_s = patient.parameters[Parameter::HeartPeriod];
+    let plan = &plan.tracking;
     let blocks = BlockMatchingSettings::default();
     let block_radius_voxels = (0.5 * (plan.block_size_mm / blocks.voxel_mm - 1.0)).round().max(1.0) as usize;
     let base = match plan.base {
         BaseMode::Free => TrackerBase::Free,
         BaseMode::Springs => TrackerBase::Springs,
+        BaseMode::Recorded => match &plan.base_motion {
+            Some(file) => TrackerBase::Recorded(read_base_motion(file, &patient.anatomy, period_s)?),
+            None => TrackerBase::Springs,
+        },
         BaseMode::BlockMatching => TrackerBase::BlockMatching(BlockMatchingSettings {
             similarity: plan.similarity,
             range_mm: plan.block_range_mm,
@@ -146,7 +153,7 @@ pub(super) fn tracker_settings(plan: &TrackingPlan, images: &PatientImages) -> T
         slice_distance_mm: Some(images.slice_distance_mm),
         ..BoundarySettings::default()
     };
-    TrackerSettings {
+    Ok(TrackerSettings {
         reference_frame: images.reference_frame,
         scheme: plan.scheme,
         boundary,
@@ -155,7 +162,7 @@ pub(super) fn tracker_settings(plan: &TrackingPlan, images: &PatientImages) -> T
         held_out_share: plan.held_out_fraction,
         held_out_seed: plan.seed,
         ..TrackerSettings::default()
-    }
+    })
 }
 
 /// A motion against labels that nothing was fitted to, one frame; `None` positions mean the mesh at rest.
