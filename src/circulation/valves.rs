@@ -287,14 +287,16 @@ mod tests {
             let stiffness = signs.transpose() * compliance.try_inverse().unwrap() * &signs * (STEP_S * MM3_PER_ML);
             let hessian = DMatrix::from_diagonal(&resistances) + (&stiffness + stiffness.transpose()) * 0.5;
             let gradient = DVector::from_fn(4, |row, _| if row % 2 == 0 { arteries[row / 2] - shut[row / 2] } else { shut[row / 2] - atria[row / 2] });
-            let program = QuadraticProgram::new(hessian, gradient).unwrap();
+            let value = |q: &DVector<f64>| (q.transpose() * &hessian * q)[0] / 2.0 + gradient.dot(q);
+            let program = QuadraticProgram::new(hessian.clone(), gradient.clone()).unwrap();
             let program = program.with_bounds(DVector::zeros(4), DVector::repeat(4, f64::INFINITY)).unwrap();
             let solution = program.solve().unwrap().x;
-            for (v, flow) in flows.iter().enumerate() {
-                for (found, expected) in [(flow.outflow_ml_per_s, solution[2 * v]), (flow.inflow_ml_per_s, solution[2 * v + 1])] {
-                    prop_assert!((found - expected).abs() < 1e-5 * (1.0 + expected.abs()), "ventricle {v}: {found} against {expected} mL/s");
-                }
-            }
+            let found = DVector::from_iterator(4, flows.iter().flat_map(|flow| [flow.outflow_ml_per_s, flow.inflow_ml_per_s]));
+            prop_assert!(found.min() >= -1e-5, "{found}");
+            // Where a flow and its gap are both nearly zero, an interior point lies as far off as its tolerance on their product allows.
+            let (least, other) = (value(&found), value(&solution));
+            prop_assert!(least <= other + 1e-9 * (1.0 + other.abs()), "{least} against {other}");
+            prop_assert!((&found - &solution).amax() < 1e-4 * (1.0 + solution.amax()), "{found} against {solution}");
         }
     }
 }
