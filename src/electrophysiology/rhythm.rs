@@ -5,6 +5,8 @@
 //! as in the automaton of \[Moe1964\]: what it comes from is still depolarised then. Where the action potential lasts equally long
 //! everywhere no front ever waits, for it follows the last one at the same speed.
 
+use std::collections::BTreeMap;
+
 use super::activation::{check, tangent_s};
 use super::march::March;
 use super::{ActivationError, ActivationMap, ActivationSettings, Conduction, Onset};
@@ -37,7 +39,7 @@ pub fn activate_beats(
     while !waiting.is_empty() {
         let mut march = March::new(mesh, conduction);
         march.hold_until(&recovered_s);
-        march.start(conduction, stimuli, &waiting, settings);
+        march.start(conduction, stimuli, &first_of_each_vertex(stimuli, &waiting), settings);
         march.run();
         let beat = march.finish(conduction, stimuli)?;
         for (recovered_s, (td_s, refractory_s)) in recovered_s.iter_mut().zip(beat.times_s().iter().zip(refractory_s)) {
@@ -51,6 +53,20 @@ pub fn activate_beats(
     }
     rhythm.blocked.sort_unstable();
     Ok(rhythm)
+}
+
+/// Of the stimuli that wait at one vertex only the earliest can start anything.
+fn first_of_each_vertex(stimuli: &[Onset], waiting: &[usize]) -> Vec<usize> {
+    let mut first: BTreeMap<usize, usize> = BTreeMap::new();
+    for &stimulus in waiting {
+        let earliest = first.entry(stimuli[stimulus].vertex).or_insert(stimulus);
+        if stimuli[stimulus].time_s < stimuli[*earliest].time_s {
+            *earliest = stimulus;
+        }
+    }
+    let mut chosen: Vec<usize> = first.into_values().collect();
+    chosen.sort_unstable();
+    chosen
 }
 
 fn check_refractory(mesh: &TetMesh, refractory_s: &[f64]) -> Result<(), ActivationError> {

@@ -30,6 +30,12 @@ pub enum HeartError {
     /// A setting makes no sense.
     #[error("{setting} = {value} is not allowed; it must be {requirement}")]
     Setting { setting: &'static str, value: f64, requirement: &'static str },
+    /// Extra stimuli and own beats go on disturbing each other.
+    #[error(
+        "the rhythm does not come to repeat itself within {beat_count} beats; give the repeating stimuli another delay_s, or a shorter \
+         action potential"
+    )]
+    RestlessRhythm { beat_count: usize },
     /// A recorded base motion does not fit.
     #[error("recorded base motion: {reason}")]
     BaseMotion { reason: String },

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use nalgebra::Vector3;
 
-use super::onset::{OnsetSites, conduction};
-use super::{BaseMotion, HeartError, HeartState, Parameter, Parameters, VentricleState};
+use super::onset::OnsetSites;
+use super::{BaseMotion, ExtraStimulus, HeartError, HeartRhythm, HeartState, Parameter, Parameters, VentricleState};
 use crate::anatomy::{Anatomy, Region, Ventricle};
 use crate::circulation::{AtrialPressure, Phase, Windkessel};
-use crate::electrophysiology::{ActivationMap, activate};
+use crate::electrophysiology::ActivationMap;
 use crate::mechanics::{ContractionLaw, Kinematics, MotionState, Myocardium, PassiveProperties, StepOperator, StepSettings, TimeScheme};
 use crate::mesh::SurfaceTag;
 
@@ -35,6 +35,8 @@ pub struct ModelSettings {
     pub kinematics: Kinematics,
     /// Where the beat starts.
     pub onset_sites: OnsetSites,
+    /// Stimuli beside those of every beat.
+    pub extra_stimuli: Vec<ExtraStimulus>,
     /// Where the base springs are anchored over the cycle; at rest without it.
     pub base_motion: Option<Arc<BaseMotion>>,
     /// Which configuration the cavity pressures act on.
@@ -50,6 +52,7 @@ impl Default for ModelSettings {
             time_scheme: TimeScheme::default(),
             kinematics: Kinematics::default(),
             onset_sites: OnsetSites::Normal,
+            extra_stimuli: Vec::new(),
             base_motion: None,
             pressure_load: PressureLoad::default(),
             volume_tolerance_ml: 1e-6,
@@ -64,7 +67,7 @@ pub struct HeartModel {
     pub(super) parameters: Parameters,
     pub(super) settings: ModelSettings,
     pub(super) operator: Arc<StepOperator>,
-    activation: Arc<ActivationMap>,
+    rhythm: Arc<HeartRhythm>,
     pub(super) contraction: Contraction,
     pub(super) ventricles: Vec<VentricleModel>,
 }
@@ -117,10 +120,10 @@ impl HeartModel {
         check_anatomy(&anatomy)?;
         check_settings(&settings, &anatomy, &parameters)?;
         let operator = Arc::new(step_operator(None, &anatomy, &parameters, &settings)?);
-        let activation = Arc::new(activation_map(&anatomy, &parameters, &settings)?);
+        let rhythm = Arc::new(HeartRhythm::new(&anatomy, &parameters, &settings, None)?);
         let contraction = Contraction::new(&anatomy, &parameters)?;
         let ventricles = anatomy.cavities.iter().map(|(v, _)| VentricleModel::new(&anatomy, *v, &parameters)).collect::<Result<_, _>>()?;
-        Ok(Self { anatomy, parameters, settings, operator, activation, contraction, ventricles })
+        Ok(Self { anatomy, parameters, settings, operator, rhythm, contraction, ventricles })
     }
 
     /// This heart with other parameters. The factorised step is kept when no passive parameter differs, the activation map when no
@@ -136,15 +139,12 @@ impl HeartModel {
         } else {
             Arc::new(step_operator(Some(self.operator.myocardium()), &self.anatomy, &parameters, &self.settings)?)
         };
-        let activation = if same(&ELECTRICAL) {
-            Arc::clone(&self.activation)
-        } else {
-            Arc::new(activation_map(&self.anatomy, &parameters, &self.settings)?)
-        };
+        let own = same(&ELECTRICAL).then(|| self.rhythm.own_beat());
+        let rhythm = Arc::new(HeartRhythm::new(&self.anatomy, &parameters, &self.settings, own)?);
         let contraction = Contraction::new(&self.anatomy, &parameters)?;
         let ventricles = self.ventricles.iter().map(|v| v.with_parameters(&parameters)).collect::<Result<_, _>>()?;
         let (anatomy, settings) = (Arc::clone(&self.anatomy), self.settings.clone());
-        Ok(Self { anatomy, parameters, settings, operator, activation, contraction, ventricles })
+        Ok(Self { anatomy, parameters, settings, operator, rhythm, contraction, ventricles })
     }
 
     pub(super) fn valve_resistance(&self) -> f64 {
@@ -166,9 +166,14 @@ impl HeartModel {
         &self.settings
     }
 
-    /// Depolarisation times of the first beat.
+    /// Depolarisation times of the first beat, undisturbed.
     pub fn activation(&self) -> &ActivationMap {
-        &self.activation
+        self.rhythm.own_beat()
+    }
+
+    /// All depolarisations.
+    pub fn rhythm(&self) -> &HeartRhythm {
+        &self.rhythm
     }
 
     /// Active stress σ_C of every tetrahedron at a time, kPa: the mean over its corners.
@@ -181,7 +186,9 @@ impl HeartModel {
     pub(super) fn write_active_stress(&self, time_s: f64, fraction: &mut Vec<f64>, stress_kpa: &mut Vec<f64>) {
         let law = &self.contraction.law;
         fraction.clear();
-        fraction.extend(self.activation.times_s().iter().map(|&depolarisation_s| law.stress_kpa(time_s, depolarisation_s)));
+        let stress =
+            |vertex: usize| self.rhythm.since_depolarisation_s(vertex, time_s).map_or(0.0, |since_s| law.stress_since_kpa(since_s));
+        fraction.extend((0..self.anatomy.mesh.vertex_count()).map(stress));
         let mean = |corners: &[usize; 4]| corners.iter().map(|&vertex| fraction[vertex]).sum::<f64>() / 4.0;
         stress_kpa.clear();
         let tetrahedra = self.anatomy.mesh.tetrahedra().iter().zip(&self.contraction.peak_kpa);
@@ -311,11 +318,6 @@ fn step_operator(
     };
     let &ModelSettings { step_s, time_scheme, kinematics, .. } = settings;
     Ok(StepOperator::with_settings(Arc::new(myocardium), StepSettings { step_s, scheme: time_scheme, kinematics })?)
-}
-
-fn activation_map(anatomy: &Anatomy, parameters: &Parameters, settings: &ModelSettings) -> Result<ActivationMap, HeartError> {
-    let onsets = settings.onset_sites.onsets(anatomy, parameters);
-    Ok(activate(&anatomy.mesh, &conduction(anatomy, parameters)?, &onsets)?)
 }
 
 fn check_anatomy(anatomy: &Anatomy) -> Result<(), HeartError> {

@@ -55,7 +55,11 @@ impl ContractionLaw {
         if since_first_s < 0.0 || since_first_s.is_nan() {
             return 0.0;
         }
-        let since_s = since_first_s.rem_euclid(self.period_s);
+        self.stress_since_kpa(since_first_s.rem_euclid(self.period_s))
+    }
+
+    /// σC, kPa, for tissue whose latest depolarisation was `since_s` ≥ 0 ago.
+    pub fn stress_since_kpa(&self, since_s: f64) -> f64 {
         let active_s = since_s.min(self.action_potential_duration_s);
         let built_up_kpa = -self.peak_kpa * (-self.contraction_rate_per_s * active_s).exp_m1();
         built_up_kpa * (-self.relaxation_rate_per_s * (since_s - active_s)).exp()

@@ -19,7 +19,7 @@ pub use beats::{Beats, BeatsPlan};
 pub use comparison::ComparisonPlan;
 pub use images::{ImageSource, ImagesPlan, ReferenceLabels, VolumeSource};
 pub use mesh_file::{LengthUnit, MeshPlan, MeshSource};
-pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite};
+pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite, SitePlan};
 pub use output::OutputPlan;
 pub use personalisation::{FreeParameter, PersonalisationPlan};
 pub use phantom::{ModelAnatomy, PhantomPlan};

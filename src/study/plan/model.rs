@@ -41,8 +41,19 @@ words! {
 pub struct OnsetPlan {
     /// `onset`.
     pub place: OnsetSite,
-    /// `[[electrophysiology.site]]`: `position_mm` (world, RAS) and `delay_s` after `onset_time_s`; pacing leads beside any other onset.
-    pub sites: Vec<(Vector3<f64>, f64)>,
+    /// `[[electrophysiology.site]]`: sites beside any other onset.
+    pub sites: Vec<SitePlan>,
+}
+
+/// `[[electrophysiology.site]]`: a pacing lead, or where an extrasystole comes from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SitePlan {
+    /// `position_mm`: world, RAS.
+    pub position_mm: Vector3<f64>,
+    /// `delay_s` after the onset of a beat.
+    pub delay_s: f64,
+    /// `beat`: the beat, from 1, in which alone it stimulates; in every one where absent.
+    pub beat: Option<usize>,
 }
 
 /// How the model is run.
@@ -70,19 +81,19 @@ fn read_onset(table: TableReader, parameters: &mut Parameters, written: &mut BTr
     table.parameters(Section::Electrophysiology, parameters, written);
     let place = table.choice("onset", OnsetSite::Normal);
     let sites: Vec<_> = table.tables("site").into_iter().map(read_site).collect();
-    if place == OnsetSite::Sites && sites.is_empty() {
-        table.missing("site", "[[electrophysiology.site]] with its position_mm");
+    if place == OnsetSite::Sites && sites.iter().all(|site| site.beat.is_some()) {
+        table.missing("site", "[[electrophysiology.site]] with its position_mm, and without `beat`: it starts every beat");
     }
     table.close();
     OnsetPlan { place, sites }
 }
 
-fn read_site(table: TableReader) -> (Vector3<f64>, f64) {
+fn read_site(table: TableReader) -> SitePlan {
     let position_mm = table.vector("position_mm");
     if !table.has("position_mm") {
         table.missing("position_mm", "three numbers, [x, y, z], in world coordinates (RAS)");
     }
-    let delay_s = table.number("delay_s", 0.0..=1.0, 0.0);
+    let (delay_s, beat) = (table.number("delay_s", 0.0..=2.5, 0.0), table.optional_count("beat", 1..=100));
     table.close();
-    (position_mm.unwrap_or_default(), delay_s)
+    SitePlan { position_mm: position_mm.unwrap_or_default(), delay_s, beat }
 }

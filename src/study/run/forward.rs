@@ -7,34 +7,51 @@ use super::clock::Clock;
 use super::error::RunError;
 use crate::anatomy::{Anatomy, Ventricle};
 use crate::heart::{
-    BeatDeformation, BeatObservables, HeartModel, ModelSettings, OnsetSites, Parameters, SimulationPlan, Trajectory, simulate,
+    BeatDeformation, BeatObservables, ExtraStimulus, HeartModel, ModelSettings, OnsetSites, Parameters, SimulationPlan, Trajectory,
+    simulate,
 };
 use crate::mechanics::{Kinematics, StepLoad};
 use crate::study::RunContext;
-use crate::study::plan::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite};
+use crate::study::plan::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite, SitePlan};
 
 /// The heart of a plan on an anatomy.
 pub(super) fn heart_model(plan: &ModelPlan, anatomy: &Arc<Anatomy>, parameters: Parameters) -> Result<HeartModel, RunError> {
-    let onset_sites = onset_sites(&plan.onset);
+    let (onset_sites, extra_stimuli) = (onset_sites(&plan.onset), extra_stimuli(&plan.onset.sites));
     let kinematics = match plan.kinematics {
         KinematicsPlan::Linear => Kinematics::Linear,
         KinematicsPlan::Corotational => Kinematics::Corotational,
     };
-    let settings = ModelSettings { step_s: plan.step_s, kinematics, onset_sites, ..ModelSettings::default() };
+    let settings = ModelSettings { step_s: plan.step_s, kinematics, onset_sites, extra_stimuli, ..ModelSettings::default() };
     Ok(HeartModel::new(Arc::clone(anatomy), parameters, settings)?)
 }
 
 fn onset_sites(plan: &OnsetPlan) -> OnsetSites {
-    let leads = OnsetSites::Points(plan.sites.clone());
+    let of_every_beat = plan.sites.iter().filter(|site| site.beat.is_none());
+    let leads: Vec<_> = of_every_beat.map(|site| (site.position_mm, site.delay_s)).collect();
     let own = match plan.place {
         OnsetSite::Normal => OnsetSites::Normal,
         OnsetSite::LeftBundleBranchBlock => OnsetSites::LeftBundleBranchBlock,
         OnsetSite::RightApicalPacing => OnsetSites::RightApicalPacing,
         OnsetSite::BiventricularPacing => OnsetSites::BiventricularPacing,
         OnsetSite::Endocardium => OnsetSites::Endocardium,
-        OnsetSite::Sites => return leads,
+        OnsetSite::Sites => return OnsetSites::Points(leads),
     };
-    if plan.sites.is_empty() { own } else { OnsetSites::Together(vec![own, leads]) }
+    if leads.is_empty() { own } else { OnsetSites::Together(vec![own, OnsetSites::Points(leads)]) }
+}
+
+fn extra_stimuli(sites: &[SitePlan]) -> Vec<ExtraStimulus> {
+    let extra =
+        |site: &SitePlan| Some(ExtraStimulus { point_mm: site.position_mm, beat: site.beat?.saturating_sub(1), delay_s: site.delay_s });
+    sites.iter().filter_map(extra).collect()
+}
+
+/// What is to be said of extra stimuli that come to nothing.
+pub(super) fn blocked_stimuli(model: &HeartModel) -> Vec<String> {
+    let words = |&stimulus: &usize| {
+        let ExtraStimulus { beat, delay_s, .. } = model.settings().extra_stimuli.get(stimulus)?;
+        Some(format!("the site of beat {}, {delay_s} s after its onset, finds refractory tissue and does nothing", beat + 1))
+    };
+    model.rhythm().blocked_stimuli().iter().filter_map(words).collect()
 }
 
 /// Beats `model` over `clock` under `loads`, telling how far it is and stopping when asked.

@@ -3,6 +3,7 @@
 mod calibration;
 mod clock;
 mod compare_schemes;
+mod each_beat;
 mod error;
 mod forward;
 mod leave;

@@ -56,6 +56,29 @@ pub(super) fn beat(plan: &Plan, clock: &Clock, trajectory: &Trajectory, further:
     Ok(())
 }
 
+/// Pressures and volumes over all beats, where these are not all alike.
+pub(super) fn all_beats(plan: &Plan, trajectory: &Trajectory) -> Result<(), RunError> {
+    for (ventricle, suffix, name, artery) in [(Ventricle::Left, "lv", "LV", "aorta"), (Ventricle::Right, "rv", "RV", "pulmonary artery")] {
+        let rows: Vec<_> = trajectory.curves.iter().filter_map(|row| Some((row.time_s, row.ventricle(ventricle)?))).collect();
+        if rows.is_empty() {
+            continue;
+        }
+        let times_s: Vec<f64> = rows.iter().map(|(time_s, _)| *time_s).collect();
+        let of = |value: fn(&crate::heart::VentricleCurve) -> f64| rows.iter().map(|(_, curve)| value(curve)).collect::<Vec<f64>>();
+        let figure = BeatCurves {
+            title: format!("The {name} over all beats"),
+            pressures: vec![
+                Curve::new(format!("{name} cavity"), Look::Simulated, &times_s, &of(|c| c.pressure_kpa)),
+                Curve::new(artery, Look::Artery, &times_s, &of(|c| c.arterial_pressure_kpa)),
+            ],
+            volume: Curve::new(format!("{name} volume"), Look::Simulated, &times_s, &of(|c| c.volume_ml)),
+            phases: vec![],
+        };
+        beat_curves(&plan.output.directory.join(format!("all_beats_{suffix}.png")), &figure)?;
+    }
+    Ok(())
+}
+
 /// Rows of the last beat, the one it starts from included.
 fn last_beat<'a>(clock: &Clock, trajectory: &'a Trajectory) -> impl Iterator<Item = &'a crate::heart::CurveRow> {
     let from_s = clock.last_beat_s() - 1e-9;

@@ -6,8 +6,9 @@ use std::time::Instant;
 use serde::Serialize;
 
 use super::clock::Clock;
+use super::each_beat::write_each_beat;
 use super::error::RunError;
-use super::forward::{beat, heart_model, observables, step_count};
+use super::forward::{beat, blocked_stimuli, heart_model, observables, step_count};
 use super::leave::{BeatSummary, Summary, frame_rows, write_beat};
 use super::patient::Patient;
 use super::pictures;
@@ -40,6 +41,10 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let mut patient = Patient::new(plan, context)?;
     context.progress().stage("activating and assembling", None);
     let model = with_recorded_base(plan, heart_model(&plan.model, &patient.anatomy, patient.parameters.clone())?)?;
+    for text in blocked_stimuli(&model) {
+        context.progress().warning(&text);
+        patient.warnings.push(text);
+    }
     let Beaten { trajectory, clock, status, details } = match plan.simulation.beats {
         Beats::Count(count) => count_beats(&model, patient.clock(count), count, context)?,
         Beats::Periodic(periodicity) => beat_until_periodic(&model, &patient, periodicity, context)?,
@@ -53,8 +58,12 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
 
     context.progress().stage("writing results", None);
     write_beat(plan, &model, &trajectory, &clock, &frame_rows(&clock, &trajectory, None, &[], &[]))?;
+    write_each_beat(&plan.output.directory, &model, &trajectory)?;
     if plan.output.figures {
         pictures::beat(plan, &clock, &trajectory, &[])?;
+        if !model.rhythm().is_regular() {
+            pictures::all_beats(plan, &trajectory)?;
+        }
         pictures::wall(plan, &model, &clock, &trajectory)?;
     }
     let summary = Summary {
