@@ -12,7 +12,6 @@ use cardiotwin::heart::{
     Trajectory, simulate,
 };
 use cardiotwin::phantom::IdealisedLv;
-use nalgebra::Vector3;
 use rayon::prelude::*;
 
 const START_S: f64 = -0.15;
@@ -81,9 +80,8 @@ fn in_left_bundle_branch_block_the_septum_flashes_and_the_lateral_wall_is_late()
     const SEPTAL: [u8; 4] = [2, 3, 8, 9];
     const LATERAL: [u8; 4] = [5, 6, 11, 12];
     let (normal_model, normal_beat) = default_beat();
-    let sites = OnsetSites::Points(vec![(Vector3::new(64.0, 0.0, -15.0), 0.0)]);
     let parameters = Parameters::default().with(Parameter::EndocardialSpeedFactor, 2.5).unwrap();
-    let settings = ModelSettings { onset_sites: sites, ..ModelSettings::default() };
+    let settings = ModelSettings { onset_sites: OnsetSites::LeftBundleBranchBlock, ..ModelSettings::default() };
     let model = HeartModel::new(biventricle(), parameters, settings).unwrap();
     let trajectory = beat(&model, PERIOD_S).unwrap();
 

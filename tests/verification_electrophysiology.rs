@@ -10,6 +10,8 @@ use cardiotwin::mesh::TetMesh;
 use cardiotwin::phantom::IdealisedLv;
 use nalgebra::Vector3;
 
+mod meshes;
+
 /// A box of `count` cells of `size_mm`, each cut into six tetrahedra around its diagonal.
 fn box_mesh(count: [usize; 3], size_mm: f64) -> TetMesh {
     let vertex = |i: usize, j: usize, k: usize| i + (count[0] + 1) * (j + (count[1] + 1) * k);
@@ -43,7 +45,7 @@ const AT_ORIGIN: [Onset; 1] = [Onset { vertex: 0, time_s: 0.0 }];
 const POINT_SOURCES: [(f64, f64, f64); 4] =
     [(600.0, 0.25, 41.8994), (600.0, 1.0 / 9.0, 50.6074), (500.0, 0.16, 55.2268), (600.0, 1.0, 35.6682)];
 
-/// Mean error over the box (ms) and error at the corner (20, 7, 3) mm.
+/// Mean error over the box and error at the corner (20, 7, 3) mm, ms.
 fn point_source_errors_ms(cells_per_mm: usize, ray_length_mm: f64, (speed, ratio, corner_ms): (f64, f64, f64)) -> (f64, f64) {
     let size_mm = 1.0 / cells_per_mm as f64;
     let mesh = box_mesh([20 * cells_per_mm, 7 * cells_per_mm, 3 * cells_per_mm], size_mm);
@@ -53,20 +55,22 @@ fn point_source_errors_ms(cells_per_mm: usize, ray_length_mm: f64, (speed, ratio
     let total_s: f64 = mesh.vertices_mm().iter().zip(map.times_s()).map(|(p, t)| (t - exact_s(p)).abs()).sum();
     let last = mesh.vertex_count() - 1;
     assert!((exact_s(&mesh.vertices_mm()[last]) * 1e3 - corner_ms).abs() < 5e-5);
-    (total_s / mesh.vertex_count() as f64 * 1e3, (map.times_s()[last] * 1e3 - corner_ms).abs())
+    (total_s / mesh.vertex_count() as f64 * 1e3, map.times_s()[last] * 1e3 - corner_ms)
 }
 
-/// Beyond a ball that does not shrink with the mesh the order is one; from the point itself a logarithm spoils it.
+/// Beyond a ball that does not shrink with the mesh the order is one, so that two meshes extrapolate to the closed form within 0.01 ms
+/// (the corner of the finer one is 0.3 to 0.5 ms late); from the point itself a logarithm spoils it.
 #[test]
 fn a_point_source_converges_to_the_closed_form() {
     for source in POINT_SOURCES {
         let errors = [1, 2, 4].map(|cells| point_source_errors_ms(cells, 2.5, source));
         let orders = [0, 1].map(|level| (errors[level].0 / errors[level + 1].0).log2());
         assert!(orders[0] > 0.7 && orders[1] > 0.85, "{source:?}: {errors:?}");
+        assert!((2.0 * errors[2].1 - errors[1].1).abs() < 0.01 && errors[2].1 > 0.1, "{source:?}: {errors:?}");
         let alone = [1, 2, 4].map(|cells| point_source_errors_ms(cells, 0.0, source));
         let orders = [0, 1].map(|level| (alone[level].0 / alone[level + 1].0).log2());
         assert!(orders[0] > 0.5 && orders[1] > orders[0], "{source:?}: {alone:?}");
-        assert!(alone[2].1 < 1.0, "{source:?}: {alone:?}");
+        assert!(alone[2].1.abs() < 1.0, "{source:?}: {alone:?}");
     }
 }
 
@@ -74,14 +78,15 @@ fn a_point_source_converges_to_the_closed_form() {
 fn straight_rays_are_exact_in_a_uniform_medium() {
     for source in POINT_SOURCES {
         let (mean_ms, corner_ms) = point_source_errors_ms(1, 40.0, source);
-        assert!(mean_ms < 1e-9 && corner_ms < 5e-5, "{source:?}: {mean_ms} {corner_ms}");
+        assert!(mean_ms < 1e-9 && corner_ms.abs() < 5e-5, "{source:?}: {mean_ms} {corner_ms}");
     }
 }
 
 /// The error of the plain update (any fast marching or iterative code) on the same mesh is the yardstick: 1.385 ms on average at 20 cells
-/// a side, of which 0.18 are left.
+/// a side, of which 0.18 are left. This holds where the medium is uniform; where the speed grows twofold a test below has it, and where
+/// it grows fourfold over eight coarse cells the rays leave 1.3 of the error.
 #[test]
-fn straight_rays_more_than_halve_the_error_on_every_mesh() {
+fn straight_rays_leave_less_than_half_of_the_error_in_a_uniform_box() {
     let (ratio, fibre) = (1.0 / 9.0, Vector3::new(1.0, 0.7, 0.3).normalize());
     let exact_s = |p: &Vector3<f64>| (p.dot(&fibre).powi(2) * (1.0 - 1.0 / ratio) + p.norm_squared() / ratio).sqrt() / 600.0;
     for cells in [10, 20, 32] {
@@ -120,7 +125,32 @@ fn mean_error_s(mesh: &TetMesh, conduction: &Conduction, ray_length_mm: Option<f
     total_s / mesh.vertex_count() as f64
 }
 
-/// Around the cavity of a spherical shell the front creeps along the inner sphere.
+/// From outer to outer antipode, to 90° on the outer and from inner to inner antipode: on meshes that refine each other, with a source ball
+/// that does not shrink, two meshes extrapolate to the closed forms within 0.15 ms where the finer one is wrong by up to 1.4 ms.
+#[test]
+fn geodesics_of_a_spherical_shell_tend_to_their_closed_forms() {
+    let exact_ms = [177.5399, 99.0000, 157.0796];
+    let [coarse_ms, fine_ms] = [12, 24].map(|edge| {
+        let (mesh, _) = meshes::sphere(edge, edge / 3);
+        let conduction = uniform(&mesh, 500.0, 1.0, Vector3::x());
+        let at = |p: [f64; 3]| nearest_vertex(mesh.vertices_mm(), &Vector3::from(p)).unwrap();
+        let settings = ActivationSettings { ray_length_mm: Some(8.0) };
+        let from = |p: [f64; 3]| {
+            let onset = Onset { vertex: at(p), time_s: 0.0 };
+            activate_with(&mesh, &conduction, &[onset], &settings).unwrap().times_s().to_vec()
+        };
+        let (outer_s, inner_s) = (from([0.0, 0.0, 35.0]), from([0.0, 0.0, 25.0]));
+        [outer_s[at([0.0, 0.0, -35.0])], outer_s[at([35.0, 0.0, 0.0])], inner_s[at([0.0, 0.0, -25.0])]].map(|time_s| time_s * 1e3)
+    });
+    for path in 0..3 {
+        let error_ms = |time_ms: f64| (time_ms - exact_ms[path]).abs();
+        let limit_ms = 2.0 * fine_ms[path] - coarse_ms[path];
+        assert!(error_ms(limit_ms) < 0.15, "path {path}: {coarse_ms:?} and {fine_ms:?} tend to {limit_ms} ms");
+        assert!(error_ms(fine_ms[path]) < 0.6 * error_ms(coarse_ms[path]), "path {path}: {coarse_ms:?} and {fine_ms:?}");
+    }
+}
+
+/// Around the cavity of a spherical shell the front creeps along the inner sphere, on irregular meshes too.
 #[test]
 fn geodesics_of_a_spherical_shell() {
     let shell = |edge_mm: f64| {
