@@ -19,6 +19,7 @@ mod onset;
 mod parameters;
 mod periodic;
 mod phases;
+mod pressure_stiffness;
 mod rhythm;
 mod simulate;
 mod state;

@@ -9,16 +9,15 @@
 //!
 //! $$Y(p) = Y^\ast + \delta + \sum_k (p_k - p_k^\ast)\, W_k, \qquad A\,\delta = r(Y^\ast, p^\ast), \quad A\,W_k = \partial_y V_k,$$
 //!
-//! with $A = K_T + K_{img} - \sum_k (p_k^\ast - \bar p_k)\, \partial_y^2 V_k$ (without the motion of the lid's centre). As in linear
-//! kinematics the cavities' answer is affine in p and the valves give the pressures. The tangent is kept while rounds converge fast.
+//! with $A = K_T + K_{img} - \sum_k (p_k^\ast - \bar p_k)\, \partial_y^2 V_k$ As in linear kinematics the cavities' answer is affine in p and the valves give the pressures. The tangent is kept while rounds converge fast.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
+use super::pressure_stiffness::add_pressure_stiffness;
 use super::step::{dot, net_outflow_mm3};
 use super::{HeartModel, HeartState, StepError, StepOutcome, StepWorkspace};
 use crate::circulation::{CavityResponse, ValveProblem, VentricleFlow, VentriclePorts};
 use crate::mechanics::{MechanicsError, SolvePath, SolveReport, StepLoad};
-use crate::mesh::Cavity;
 use crate::units::{MM3_PER_ML, mm3_from_ml};
 
 /// Rounds before a step is given up; 3–5 are usual.
@@ -146,7 +145,7 @@ impl HeartModel {
             if let Some(tangent) = &mut system.tangent {
                 for (ventricle, (_, cavity)) in self.anatomy.cavities.iter().enumerate() {
                     let over_kpa = newton.pressure_kpa[ventricle] - state.ventricles[ventricle].rest_pressure_kpa;
-                    add_pressure_stiffness(cavity, trial_mm, over_kpa, |row, column, block| tangent.add_stiffness(row, column, block));
+                    add_pressure_stiffness(cavity, trial_mm, over_kpa, tangent);
                 }
             }
         }
@@ -235,53 +234,5 @@ impl StepWorkspace {
     fn move_candidate(&mut self, part: f64) {
         let moving = self.trial_mm.iter().zip(&self.newton.direction_mm);
         self.newton.candidate_mm.iter_mut().zip(moving).for_each(|(candidate, (trial, direction))| *candidate = trial + direction * part);
-    }
-}
-
-/// Adds $-p\,\partial_y^2 V$ block by block: with $\partial_{y_a} V = \frac16 \sum y_b \times y_c$, the force on corner a changes by
-/// $\frac p6 (dy_b \times y_c + y_b \times dy_c)$.
-fn add_pressure_stiffness(
-    cavity: &Cavity,
-    position_mm: &[Vector3<f64>],
-    pressure_kpa: f64,
-    mut add: impl FnMut(usize, usize, &nalgebra::Matrix3<f64>),
-) {
-    let centre = cavity.lid_centre_mm(position_mm);
-    for &[a, b, c] in cavity.endocardium() {
-        for [i, j, k] in [[a, b, c], [b, c, a], [c, a, b]] {
-            let crossed = [j, k].map(|vertex| (position_mm[vertex] - centre).cross_matrix() * (pressure_kpa / 6.0));
-            add(i, j, &crossed[1]);
-            add(i, k, &-crossed[0]);
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::idealised_lv::IdealisedLv;
-    use super::*;
-
-    /// Away from the rim, whose vertices carry the lid's centre.
-    #[test]
-    fn the_pressure_stiffness_is_the_derivative_of_the_pressure_force() {
-        let anatomy = IdealisedLv { resolution: [6, 4, 1], ..IdealisedLv::default() }.anatomy();
-        let cavity = &anatomy.cavities[0].1;
-        let position = anatomy.mesh.vertices_mm().to_vec();
-        let is_free = |vertex: usize| !cavity.rim().contains(&vertex);
-        let change: Vec<Vector3<f64>> = (0..position.len())
-            .map(|v| if is_free(v) { Vector3::new((3.0 * v as f64).sin(), (5.0 * v as f64).cos(), 0.4) } else { Vector3::zeros() })
-            .collect();
-        let mut product = vec![Vector3::zeros(); position.len()];
-        add_pressure_stiffness(cavity, &position, 7.0, |row, column, block| product[row] -= block * change[column]);
-        let step = 1e-4;
-        let force = |by: f64| {
-            let mut force = vec![Vector3::zeros(); position.len()];
-            let moved: Vec<_> = position.iter().zip(&change).map(|(y, d)| y + d * by).collect();
-            cavity.add_gradient(&moved, 7.0, &mut force);
-            force
-        };
-        for (vertex, (plus, minus)) in force(step).iter().zip(force(-step)).enumerate().filter(|(vertex, _)| is_free(*vertex)) {
-            assert!(((plus - minus) / (2.0 * step) - product[vertex]).norm() < 1e-6, "vertex {vertex}");
-        }
     }
 }

@@ -59,10 +59,32 @@ pub struct Tangent {
     force_mn: Vec<Vector3<f64>>,
     /// K̃, mN/mm, at the trial it was last linearised about.
     matrix: BlockMatrix,
+    /// What K̃ has beside the blocks of the matrix.
+    mean_stiffnesses: Vec<MeanStiffness>,
     is_linearised: bool,
     stretches: Vec<Option<Matrix3<f64>>>,
     forces: Vec<Option<[Vector3<f64>; 3]>>,
     tangents: Vec<Option<ElementTangent>>,
+}
+
+/// $K_{ij} = (S_i + S_j^\top)/n$ between all pairs of n vertices: of rank six, so it is kept apart from the matrix.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct MeanStiffness {
+    rows: Vec<(usize, Matrix3<f64>)>,
+}
+
+impl MeanStiffness {
+    pub(super) fn multiply_add(&self, x: &[Vector3<f64>], product: &mut [Vector3<f64>]) {
+        let scale = 1.0 / self.rows.len() as f64;
+        let (mut mean, mut passed_on) = (Vector3::zeros(), Vector3::zeros());
+        for (vertex, block) in &self.rows {
+            mean += x[*vertex] * scale;
+            passed_on += block.tr_mul(&x[*vertex]) * scale;
+        }
+        for (vertex, block) in &self.rows {
+            product[*vertex] += block * mean + passed_on;
+        }
+    }
 }
 
 impl Tangent {
@@ -74,6 +96,7 @@ impl Tangent {
             trial_mm: vec![Vector3::zeros(); tissue.vertex_count()],
             force_mn: vec![Vector3::zeros(); tissue.vertex_count()],
             matrix: BlockMatrix::zeros(std::sync::Arc::clone(tissue.stiffness().pattern())),
+            mean_stiffnesses: Vec::new(),
             is_linearised: false,
             stretches: Vec::new(),
             forces: Vec::new(),
@@ -130,6 +153,7 @@ impl Tangent {
         self.trial_mm.copy_from_slice(trial_mm);
         self.force_mn.fill(Vector3::zeros());
         self.matrix.clear();
+        self.mean_stiffnesses.clear();
         let mut places = constants.places.iter();
         let result = self.chunks(tissue, &mut tangents, Element::tangent, |this, corners, tangent| {
             this.add_force(corners, &tangent.force_mn);
@@ -188,11 +212,21 @@ impl Tangent {
         &self.matrix
     }
 
+    pub(super) fn mean_stiffnesses(&self) -> &[MeanStiffness] {
+        &self.mean_stiffnesses
+    }
+
     /// Adds to K̃ a stiffness between two vertices (mN/mm) of a force that changes with the motion, as a pressure's does; after
     /// [`StepOperator::linearise`](super::StepOperator::linearise), which starts afresh. Between vertices that no tetrahedron joins
     /// nothing is added.
     pub fn add_stiffness(&mut self, row: usize, column: usize, block: &Matrix3<f64>) {
         let _is_stored = self.matrix.add_block(row, column, block);
+    }
+
+    /// Adds to K̃ the stiffness of forces on `vertices` that change with the mean of these vertices, one block (mN/mm) each, and its
+    /// transpose; as [`Tangent::add_stiffness`].
+    pub fn add_mean_stiffness(&mut self, vertices: &[usize], blocks_mn_per_mm: &[Matrix3<f64>]) {
+        self.mean_stiffnesses.push(MeanStiffness { rows: vertices.iter().copied().zip(blocks_mn_per_mm.iter().copied()).collect() });
     }
 
     fn add_force(&mut self, &[a, b, c, d]: &[usize; 4], force_mn: &[Vector3<f64>; 3]) {

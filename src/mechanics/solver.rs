@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::kinematics::MeanStiffness;
 use super::myocardium::check_size;
 use super::{MechanicsError, StepOperator, StepSystem};
 use crate::numerics::{
@@ -89,6 +90,7 @@ struct Preconditioner {
 struct StepMatrix<'a> {
     operator: &'a StepOperator,
     matrix: &'a BlockMatrix,
+    mean_stiffnesses: &'a [MeanStiffness],
     stiffness_mn_per_mm: &'a [Matrix3<f64>],
 }
 
@@ -100,6 +102,7 @@ impl StepMatrix<'_> {
 
     fn multiply(&self, x: &[Vector3<f64>], product: &mut [Vector3<f64>]) {
         self.matrix.multiply(x, product);
+        self.mean_stiffnesses.iter().for_each(|stiffness| stiffness.multiply_add(x, product));
         for ((y, block), x) in product.iter_mut().zip(self.stiffness_mn_per_mm).zip(x) {
             *y += block * x;
         }
@@ -150,7 +153,7 @@ impl StepSolver {
         check_responses(count, responses)?;
         let mut columns = self.take_columns(responses);
         columns[0].resize(count, Vector3::zeros());
-        let matrix = StepMatrix { operator, matrix: operator.matrix(), stiffness_mn_per_mm: stiffness };
+        let matrix = StepMatrix { operator, matrix: operator.matrix(), mean_stiffnesses: &[], stiffness_mn_per_mm: stiffness };
         // A direct solve has no tolerance that refers to a norm.
         let reference_norm =
             if matrix.is_constant() { 0.0 } else { matrix.subtract(&system.force_mn, operator.myocardium().rest_mm(), &mut columns[0]) };
@@ -185,7 +188,7 @@ impl StepSolver {
         let count = operator.myocardium().vertex_count();
         check_responses(count, responses)?;
         check_size("stiffness blocks, one a vertex", count, stiffness_mn_per_mm.len())?;
-        let matrix = StepMatrix { operator, matrix: operator.matrix(), stiffness_mn_per_mm };
+        let matrix = StepMatrix { operator, matrix: operator.matrix(), mean_stiffnesses: &[], stiffness_mn_per_mm };
         self.solve_columns(matrix, responses, None, self.settings.relative_tolerance)
     }
 
@@ -207,7 +210,12 @@ impl StepSolver {
         let count = operator.myocardium().vertex_count();
         check_responses(count, columns)?;
         check_size("stiffness blocks, one a vertex", count, system.stiffness_mn_per_mm.len())?;
-        let matrix = StepMatrix { operator, matrix: tangent.matrix(), stiffness_mn_per_mm: &system.stiffness_mn_per_mm };
+        let matrix = StepMatrix {
+            operator,
+            matrix: tangent.matrix(),
+            mean_stiffnesses: tangent.mean_stiffnesses(),
+            stiffness_mn_per_mm: &system.stiffness_mn_per_mm,
+        };
         let Some(first) = columns.first() else {
             return Ok(SolveReport { path: SolvePath::Direct, iteration_count: 0, relative_residual: 0.0, was_refactorised: false });
         };

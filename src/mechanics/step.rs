@@ -241,6 +241,7 @@ impl StepOperator {
         check_size("directions, one a vertex", self.myocardium.vertex_count(), x.len())?;
         check_size("products, one a vertex", self.myocardium.vertex_count(), product_mn.len())?;
         tangent.matrix().multiply(x, product_mn);
+        tangent.mean_stiffnesses().iter().for_each(|stiffness| stiffness.multiply_add(x, product_mn));
         for ((product, block), x) in product_mn.iter_mut().zip(&system.stiffness_mn_per_mm).zip(x) {
             *product += block * x;
         }
