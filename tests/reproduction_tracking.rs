@@ -1,6 +1,8 @@
-//! The paper's §6.1 as inequalities: which force scheme comes how near a heart whose truth is known, on a coarse version of study 10.
+//! The paper's §6.1 and §6.2 as inequalities: which force scheme comes how near a heart whose truth is known, on a coarse version of
+//! study 10; and how near the labels a heart comes with each base.
 //!
-//! A failure means that a force scheme or the boundary search has changed: compare `cases.csv` of the study with its README.
+//! A failure means that a force scheme, the boundary search or the block matching has changed: compare `cases.csv` of study 10, or
+//! `modes.csv` of studies 11 and 12, with their READMEs.
 
 #![allow(clippy::unwrap_used, reason = "a test may stop at the first surprise")]
 
@@ -48,4 +50,32 @@ fn at_high_gains_only_the_exact_and_the_variational_scheme_finish() {
     let status: Vec<&str> = schemes.iter().map(|scheme| scheme["status"].as_str().unwrap()).collect();
     assert_eq!(status, ["finished", "broke", "broke", "finished", "finished"]);
     assert!(number(&schemes[4], "rmse_mean_mm") < 0.7 * number(&schemes[0], "rmse_mean_mm"), "{schemes:#?}");
+}
+
+const BASES: &str = "kind = \"compare_bases\"\n[anatomy]\nedge_length_mm = 11.0\n[anatomy.idealised_lv]\n[phantom]\nframes = 16\n\
+    voxel_size_mm = 2.0\n[output]\nfigures = false\nmeshes = false\n";
+
+/// \[Billet2009\] §6.2: with each base the heart follows the images, in volume and against labels that nothing was fitted to, and every
+/// mode leaves its residuals and the work of its image forces.
+#[test]
+fn with_every_base_the_tracked_heart_is_nearer_to_the_labels_than_one_that_does_not_move() {
+    let folder = tempfile::tempdir().unwrap();
+    let overrides = Overrides { output: Some(folder.path().to_path_buf()), ..Overrides::default() };
+    let config = Config::from_text(Path::new("study.toml"), BASES.into(), overrides).unwrap();
+    run(&Plan::new(&config).unwrap(), &RunContext::new(&Silent, &AtomicBool::new(false))).unwrap();
+    let table = |name: &str| {
+        let text = std::fs::read_to_string(folder.path().join(name)).unwrap();
+        let lines: Vec<Vec<String>> = text.lines().map(|line| line.split(',').map(str::to_owned).collect()).collect();
+        lines
+    };
+    let agreement = table("agreement.csv");
+    let dice = |mode: &str| agreement.iter().find(|row| row[0] == mode).unwrap()[3].parse::<f64>().unwrap();
+    for mode in ["free", "springs", "block_matching_normal", "block_matching_full"] {
+        assert!(dice(mode) > dice("no_motion") + 0.2, "{mode}: Dice {} against {}", dice(mode), dice("no_motion"));
+        assert_eq!(table(&format!("{mode}/residuals.csv")).len(), 1 + 2 * 17, "two surfaces in 16 frames and the first again");
+        let parts: Vec<String> = table(&format!("{mode}/work.csv")).into_iter().map(|row| row[0].clone()).collect();
+        assert!(["free_wall_lv", "septum", "segment_1", "segment_16"].iter().all(|part| parts.contains(&part.to_string())), "{parts:?}");
+    }
+    let differences: Vec<f64> = table("modes.csv")[1..].iter().map(|row| row[5].parse().unwrap()).collect();
+    assert!(differences.iter().all(|&rms_ml| rms_ml < 8.0), "volumes against the truth, mL RMS: {differences:?}");
 }

@@ -51,7 +51,7 @@ pub(super) fn plan_lines(plan: &Plan) -> String {
 
 fn anatomy(plan: &Plan) -> String {
     let shape = match &plan.anatomy.source {
-        AnatomySource::Labels { path, codes, frame } => {
+        AnatomySource::Labels { path, codes, frame, .. } => {
             format!("{} (cavity {}, wall {}) on frame {frame}", name(path), codes.cavity_lv, codes.wall_lv)
         }
         AnatomySource::Mesh(mesh) => {

@@ -1,12 +1,13 @@
 //! The cine of a study as its file asks for it: NIfTI or DICOM, its slices moved into one breath-hold on request, further views at its
 //! heart period.
 
+use std::ops::Range;
 use std::path::Path;
 
 use super::plan::ImagesPlan;
 use crate::image::{
     CineReading, CineSequence, CineTiming, ImageError, LabelMap, SliceShifts, correct_label_shifts, correct_slice_shifts,
-    estimate_slice_shifts, read_cine_source, read_label_map, read_views,
+    estimate_slice_shifts, read_cine_source, read_label_maps, read_views,
 };
 use crate::units::MS_PER_S;
 
@@ -46,13 +47,27 @@ impl StudyCine {
         Ok(Self { cine: correct_slice_shifts(&cine, &shifts)?, warnings, corrected: Some(shifts) })
     }
 
-    /// A label map that was drawn on the cine as it was scanned, moved with its slices.
-    pub(super) fn read_labels(&self, path: &Path) -> Result<LabelMap, ImageError> {
-        let labels = read_label_map(path)?;
-        Ok(match &self.corrected {
+    /// The labels that were drawn on one frame of the cine as it was scanned, moved with its slices; see [`read_labels`].
+    pub(super) fn read_labels(&self, path: &Path, frame: usize, slices: Option<&Range<usize>>) -> Result<LabelMap, ImageError> {
+        Ok(self.moved(read_labels(path, frame, slices)?))
+    }
+
+    /// The labels of every frame of the cine, moved with its slices.
+    pub(super) fn read_labels_of_every_frame(&self, path: &Path, slices: Option<&Range<usize>>) -> Result<Vec<LabelMap>, ImageError> {
+        let maps = read_label_maps(path)?;
+        let (found, expected) = (maps.len(), self.cine.frames().len());
+        if found != expected {
+            let reason = format!("it has labels of {found} frames, the cine has {expected}; name the frame that one map was drawn on");
+            return Err(ImageError::Unusable { path: path.into(), reason });
+        }
+        Ok(maps.into_iter().map(|labels| self.moved(within(labels, slices))).collect())
+    }
+
+    fn moved(&self, labels: LabelMap) -> LabelMap {
+        match &self.corrected {
             Some(shifts) => correct_label_shifts(&labels, self.cine.grid(), shifts),
             None => labels,
-        })
+        }
     }
 
     /// The long-axis views of a plan, phase by phase at the heart period of this cine.
@@ -67,6 +82,26 @@ impl StudyCine {
             Ok(CineReading { cine: cine.at_period(period_s)?, warnings })
         };
         read_views(path, &timing_of(plan.long_axis_timing.as_deref())?)?.into_iter().map(at_own_period).collect()
+    }
+}
+
+/// The labels of a 3-D file, or those of one frame of a 4-D file, in the slices that count (all where none are named).
+pub(super) fn read_labels(path: &Path, frame: usize, slices: Option<&Range<usize>>) -> Result<LabelMap, ImageError> {
+    let mut maps = read_label_maps(path)?;
+    let found = maps.len();
+    let place = if found == 1 { 0 } else { frame };
+    if place >= found {
+        let reason = format!("it has labels of {found} frames, counted from 0, but frame {frame} is asked for");
+        return Err(ImageError::Unusable { path: path.into(), reason });
+    }
+    Ok(within(maps.swap_remove(place), slices))
+}
+
+/// Labels without those of the slices that do not count.
+fn within(labels: LabelMap, slices: Option<&Range<usize>>) -> LabelMap {
+    match slices {
+        Some(slices) => labels.slices(slices.clone()),
+        None => labels,
     }
 }
 

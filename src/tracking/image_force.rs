@@ -69,13 +69,15 @@ impl<'a> ImageForce<'a> {
         if self.is_held_out(target.vertex) { 0.0 } else { gain_kpa_per_mm * target.area_mm2 * target.confidence }
     }
 
-    /// Work of the image force in the last step, mN·mm (= µJ) by vertex, added to `sum_uj`: the force F − K Y⁺ that stood at the
+    /// Work of the image force in the last step, mN·mm (= µJ), of every vertex that was pulled: the force F − K Y⁺ that stood at the
     /// step's end times the way from `before_mm` to `after_mm`.
-    pub fn add_work_uj(&self, before_mm: &[Vector3<f64>], after_mm: &[Vector3<f64>], sum_uj: &mut [f64]) {
-        for (vertex, load) in self.applied.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+    pub fn work_uj(&self, before_mm: &[Vector3<f64>], after_mm: &[Vector3<f64>]) -> Vec<(usize, f64)> {
+        let applied = self.applied.lock().unwrap_or_else(PoisonError::into_inner);
+        let work = applied.iter().map(|(vertex, load)| {
             let force_mn = load.force_mn - load.stiffness_mn_per_mm * after_mm[*vertex];
-            sum_uj[*vertex] += force_mn.dot(&(after_mm[*vertex] - before_mm[*vertex]));
-        }
+            (*vertex, force_mn.dot(&(after_mm[*vertex] - before_mm[*vertex])))
+        });
+        work.collect()
     }
 }
 

@@ -60,8 +60,10 @@ pub struct PhaseWork {
     pub phase: Phase,
     /// Mesh vertex.
     pub vertex: usize,
-    /// Work, µJ (= mN·mm).
+    /// Work, µJ (= mN·mm); negative where the force braked.
     pub work_uj: f64,
+    /// The magnitudes of the work of every step, added up, µJ.
+    pub magnitude_uj: f64,
 }
 
 /// A tracked beat.
@@ -219,31 +221,35 @@ fn matched_base(model: &HeartModel, cine: &CineSequence, settings: &TrackerSetti
 /// Adds up the work of the image forces while the heart beats.
 struct WorkLedger {
     before_mm: Vec<nalgebra::Vector3<f64>>,
-    work_uj: Vec<(Phase, Vec<f64>)>,
+    work: Vec<(Phase, Vec<[f64; 2]>)>,
     vertex_count: usize,
 }
 
 impl WorkLedger {
     fn new(vertex_count: usize) -> Self {
-        Self { before_mm: Vec::new(), work_uj: Vec::new(), vertex_count }
+        Self { before_mm: Vec::new(), work: Vec::new(), vertex_count }
     }
 
     fn book(&mut self, force: &ImageForce, state: &HeartState, row: &CurveRow) {
         if let Some(phase) = row.phase_lv.filter(|_| !self.before_mm.is_empty()) {
-            let place = self.work_uj.iter().position(|(p, _)| *p == phase).unwrap_or_else(|| {
-                self.work_uj.push((phase, vec![0.0; self.vertex_count]));
-                self.work_uj.len() - 1
+            let place = self.work.iter().position(|(p, _)| *p == phase).unwrap_or_else(|| {
+                self.work.push((phase, vec![[0.0; 2]; self.vertex_count]));
+                self.work.len() - 1
             });
-            force.add_work_uj(&self.before_mm, &state.motion.position_mm, &mut self.work_uj[place].1);
+            for (vertex, work_uj) in force.work_uj(&self.before_mm, &state.motion.position_mm) {
+                let [sum, magnitude] = &mut self.work[place].1[vertex];
+                *sum += work_uj;
+                *magnitude += work_uj.abs();
+            }
         }
         self.before_mm.clone_from(&state.motion.position_mm);
     }
 
     fn entries(self) -> Vec<PhaseWork> {
-        let of_phase = |(phase, work): (Phase, Vec<f64>)| {
-            let entries = work.into_iter().enumerate().filter(|(_, work_uj)| *work_uj != 0.0);
-            entries.map(move |(vertex, work_uj)| PhaseWork { phase, vertex, work_uj })
+        let of_phase = |(phase, work): (Phase, Vec<[f64; 2]>)| {
+            let entries = work.into_iter().enumerate().filter(|(_, [_, magnitude])| *magnitude > 0.0);
+            entries.map(move |(vertex, [work_uj, magnitude_uj])| PhaseWork { phase, vertex, work_uj, magnitude_uj })
         };
-        self.work_uj.into_iter().flat_map(of_phase).collect()
+        self.work.into_iter().flat_map(of_phase).collect()
     }
 }

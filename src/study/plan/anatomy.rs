@@ -1,9 +1,11 @@
 //! `[anatomy]`: the heart at rest, from a label map of a patient, a mesh made elsewhere or an idealised shape, \[Billet2009\] §3.
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 use nalgebra::Vector3;
 
+use super::images::slice_range;
 use super::mesh_file::{self, MeshPlan};
 use crate::anatomy::IdealisedBiventricle;
 use crate::study::reader::TableReader;
@@ -30,12 +32,14 @@ pub struct AnatomyPlan {
 pub enum AnatomySource {
     /// A label map drawn on one frame of the cine.
     Labels {
-        /// `labels`: the label map, NIfTI.
+        /// `labels`: the label map, NIfTI; of a 4-D one the map of `frame`.
         path: PathBuf,
         /// Its codes.
         codes: LabelCodes,
         /// `frame`: the frame of the cine that it was drawn on, from 0; simulations start at that frame's time.
         frame: usize,
+        /// `label_slices`: the slices whose labels count, all where absent.
+        slices: Option<Range<usize>>,
     },
     /// A truncated ellipsoid.
     IdealisedLv(IdealisedLv),
@@ -148,7 +152,12 @@ fn read_labels(table: &TableReader) -> AnatomySource {
     if codes.cavity_lv == codes.wall_lv {
         table.problem("code_wall_lv", "equals code_cavity_lv", "give the wall and the cavity their own codes");
     }
-    AnatomySource::Labels { path: table.data_file("labels").unwrap_or_default(), codes, frame: table.count("frame", 0..=100_000, 0) }
+    AnatomySource::Labels {
+        path: table.data_file("labels").unwrap_or_default(),
+        codes,
+        frame: table.count("frame", 0..=100_000, 0),
+        slices: slice_range(table, "label_slices"),
+    }
 }
 
 fn read_idealised(table: TableReader) -> IdealisedLv {

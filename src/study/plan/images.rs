@@ -60,15 +60,17 @@ pub enum VolumeSource {
     Table(PathBuf),
 }
 
-/// Labels drawn by an expert on one frame.
+/// Labels drawn by an expert on one frame, or on every frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReferenceLabels {
     /// `labels`: the label map, NIfTI.
     pub path: PathBuf,
-    /// `frame`: the frame it was drawn on, from 0.
-    pub frame: usize,
+    /// `frame`: the frame it was drawn on, from 0; every frame of a 4-D label map where absent.
+    pub frame: Option<usize>,
     /// `code_cavity_lv`: blood of the left ventricle.
     pub code_cavity_lv: u16,
+    /// `slices`: the slices that count, all where absent.
+    pub slices: Option<Range<usize>>,
 }
 
 pub(super) fn read(table: TableReader) -> Option<ImagesPlan> {
@@ -96,22 +98,7 @@ pub(super) fn read(table: TableReader) -> Option<ImagesPlan> {
 fn read_volumes(table: &TableReader) -> VolumeSource {
     let path = table.data_file("volumes");
     let code = u8::try_from(table.count("volumes_code_cavity_lv", 1..=i64::from(u8::MAX), 1)).unwrap_or(u8::MAX);
-    let slices = table.numbers("volumes_slices").and_then(|ends| {
-        let range = match ends.as_slice() {
-            &[first, last] if 0.0 <= first && first <= last && ends.iter().all(|end| end.fract() == 0.0) => {
-                Some(first as usize..last as usize + 1)
-            }
-            _ => None,
-        };
-        if range.is_none() {
-            table.problem(
-                "volumes_slices",
-                "is no range of slices",
-                "write the first and the last slice that count, counted from 0: [2, 10]",
-            );
-        }
-        range
-    });
+    let slices = slice_range(table, "volumes_slices");
     match path {
         Some(path) if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("csv")) => VolumeSource::Table(path),
         Some(path) => VolumeSource::Labels { path, code, slices },
@@ -119,15 +106,29 @@ fn read_volumes(table: &TableReader) -> VolumeSource {
     }
 }
 
+/// The slices from the first to the last of a list of two.
+pub(super) fn slice_range(table: &TableReader, key: &'static str) -> Option<Range<usize>> {
+    let ends = table.numbers(key)?;
+    let range = match ends.as_slice() {
+        &[first, last] if 0.0 <= first && first <= last && ends.iter().all(|end| end.fract() == 0.0) => {
+            Some(first as usize..last as usize + 1)
+        }
+        _ => None,
+    };
+    if range.is_none() {
+        table.problem(key, "is no range of slices", "write the first and the last slice that count, counted from 0: [2, 10]");
+    }
+    range
+}
+
 fn read_labels(table: TableReader) -> ReferenceLabels {
+    let frame = table.count("frame", 0..=100_000, 0);
     let labels = ReferenceLabels {
         path: table.required_data_file("labels"),
-        frame: table.count("frame", 0..=100_000, 0),
+        frame: table.has("frame").then_some(frame),
         code_cavity_lv: u16::try_from(table.count("code_cavity_lv", 1..=i64::from(u8::MAX), 1)).unwrap_or(u16::MAX),
+        slices: slice_range(&table, "slices"),
     };
-    if !table.has("frame") {
-        table.missing("frame", "the frame that the labels were drawn on, counted from 0");
-    }
     table.close();
     labels
 }

@@ -53,6 +53,8 @@ words! {
         Track = "track",
         /// Tracks a synthetic heart by every force scheme, \[Billet2009\] §6.1.
         CompareSchemes = "compare_schemes",
+        /// Tracks the same images with a free base, springs and block matching, \[Billet2009\] §6.2.
+        CompareBases = "compare_bases",
         /// Tracks, then finds parameters from the motion.
         Personalise = "personalise",
     }
@@ -166,7 +168,7 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
         (Some(Kind::Personalise), None) => {
             root.missing("personalisation", "[personalisation] with a [[personalisation.parameter]] for each free parameter")
         }
-        (Some(Kind::Simulate | Kind::Track | Kind::CompareSchemes), Some(_)) => {
+        (Some(Kind::Simulate | Kind::Track | Kind::CompareSchemes | Kind::CompareBases), Some(_)) => {
             root.problem("personalisation", "is of no use here", "write kind = \"personalise\", or take the table away")
         }
         _ => {}
@@ -217,7 +219,7 @@ fn images_of(
         }
         (Some(images), None) => Some(ImageSource::Cine(images)),
         (None, Some(phantom)) => Some(ImageSource::Phantom(phantom)),
-        (None, None) if matches!(kind, Some(Kind::Track | Kind::CompareSchemes | Kind::Personalise)) => {
+        (None, None) if matches!(kind, Some(Kind::Track | Kind::CompareSchemes | Kind::CompareBases | Kind::Personalise)) => {
             root.missing("images", "[images] with a cine, or [phantom] to make one");
             None
         }

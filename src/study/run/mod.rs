@@ -2,12 +2,15 @@
 
 mod calibration;
 mod clock;
+mod compare_bases;
 mod compare_schemes;
+mod discrepancy;
 mod each_beat;
 mod error;
 mod forward;
 mod leave;
 mod mesh_file;
+mod montages;
 mod patient;
 mod personalise;
 mod pictures;
@@ -34,6 +37,7 @@ pub fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
     match plan.kind {
         Kind::Simulate => simulate::run(plan, context),
         Kind::Track => track_only::run(plan, context),
+        Kind::CompareBases => compare_bases::run(plan, context),
         Kind::CompareSchemes => compare_schemes::run(plan, context),
         Kind::Personalise => personalise::run(plan, context),
     }

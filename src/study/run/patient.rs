@@ -9,12 +9,10 @@ use super::synthetic::{self, Truth};
 use crate::anatomy::mesher::MesherSettings;
 use crate::anatomy::{Anatomy, AnatomySettings, FibreRule, build_lv_from_fields};
 use crate::heart::{Parameter, Parameters};
-use crate::image::{
-    CineReading, CineSequence, FieldOptions, LabelMap, PreprocessSettings, VentricleCodes, preprocess, read_label_map, ventricle_fields,
-};
+use crate::image::{CineReading, CineSequence, FieldOptions, LabelMap, PreprocessSettings, VentricleCodes, preprocess, ventricle_fields};
 use crate::study::RunContext;
-use crate::study::cine::StudyCine;
-use crate::study::plan::{AnatomyPlan, AnatomySource, IdealisedLv, ImageSource, ImagesPlan, Plan};
+use crate::study::cine::{StudyCine, read_labels};
+use crate::study::plan::{AnatomyPlan, AnatomySource, IdealisedLv, ImageSource, ImagesPlan, Plan, ReferenceLabels};
 
 /// A heart at rest with its images.
 pub(super) struct Patient {
@@ -64,7 +62,7 @@ impl Patient {
                 building();
                 Ok(Self::without_images(plan, anatomy_of_file(mesh, &anatomy_settings(&plan.anatomy))?, mesh.reference_time_s))
             }
-            (AnatomySource::Labels { path, codes, frame }, images) => {
+            (AnatomySource::Labels { path, codes, frame, slices }, images) => {
                 context.progress().stage("reading images and labels", None);
                 let mut warnings = Vec::new();
                 let mut parameters = plan.parameters.clone();
@@ -73,10 +71,10 @@ impl Patient {
                         let period_s = plan.written.contains(&Parameter::HeartPeriod).then_some(parameters[Parameter::HeartPeriod]);
                         let study = StudyCine::read(images, period_s)?;
                         parameters.set(Parameter::HeartPeriod, study.cine.period_s())?;
-                        let labels = study.read_labels(path)?;
+                        let labels = study.read_labels(path, *frame, slices.as_ref())?;
                         (labels, Some(prepared_images(images, study, *frame, &mut warnings)?))
                     }
-                    _ => (read_label_map(path)?, None),
+                    _ => (read_labels(path, *frame, slices.as_ref())?, None),
                 };
                 context.progress().stage("building the anatomy", None);
                 let codes = VentricleCodes { cavity: to_code(codes.cavity_lv), wall: to_code(codes.wall_lv) };
@@ -128,11 +126,17 @@ fn prepared_images(
     let frame_count = study.cine.frames().len();
     let in_range = |key, frame| if frame < frame_count { Ok(frame) } else { Err(RunError::FrameOutOfRange { key, frame, frame_count }) };
     in_range("anatomy.frame", reference_frame)?;
-    let validation = images.validation.iter().map(|labels| {
-        in_range("images.validation.frame", labels.frame)?;
-        Ok((labels.frame, study.read_labels(&labels.path)?, to_code(labels.code_cavity_lv)))
-    });
-    let validation = validation.collect::<Result<_, RunError>>()?;
+    let mut validation = Vec::new();
+    for ReferenceLabels { path, frame, code_cavity_lv, slices } in &images.validation {
+        let maps = match *frame {
+            Some(frame) => {
+                in_range("images.validation.frame", frame)?;
+                vec![(frame, study.read_labels(path, frame, slices.as_ref())?)]
+            }
+            None => study.read_labels_of_every_frame(path, slices.as_ref())?.into_iter().enumerate().collect(),
+        };
+        validation.extend(maps.into_iter().map(|(frame, labels)| (frame, labels, to_code(*code_cavity_lv))));
+    }
     let settings = PreprocessSettings {
         spacing_mm: images.isotropic_spacing_mm,
         quantile_low: images.quantile_low,

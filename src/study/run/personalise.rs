@@ -8,11 +8,13 @@ use serde::Serialize;
 
 use super::calibration::{calibration_trajectory, residual, simulate_at};
 use super::clock::Clock;
+use super::discrepancy::{work_magnitude_mj, write_discrepancy};
 use super::error::RunError;
 use super::forward::{beat, frame_volumes_lv_ml, heart_model, step_count};
 use super::leave::{BeatSummary, FrameRow, Summary, frame_rows, write_base_motion, write_beat, write_series};
+use super::montages::{NamedMotion, montages};
 use super::patient::{Patient, PatientImages};
-use super::pictures::{self, NamedMotion};
+use super::pictures;
 use super::start::start_space;
 use super::track::{GAIN_FACTORS, Tracked, held_out_rms_mm, surface_rms_mm, track_patient, validate};
 use crate::heart::{FrameState, HeartModel, Parameter, Parameters, Trajectory};
@@ -139,6 +141,8 @@ pub(super) struct TrackingSummary {
     image_gain_endocardium_lv_kpa_per_mm: f64,
     image_gain_epicardium_kpa_per_mm: f64,
     image_gain_base_kpa_per_mm: f64,
+    /// Magnitudes added up over the beat; compare with the stroke work.
+    image_work_mj: f64,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     gain_factors_tried: Vec<GainEvaluation>,
 }
@@ -202,6 +206,7 @@ pub(super) fn tracking_summary(tracked: &Tracked) -> TrackingSummary {
         image_gain_endocardium_lv_kpa_per_mm: tracked.parameters[Parameter::ImageGainEndocardiumLv],
         image_gain_epicardium_kpa_per_mm: tracked.parameters[Parameter::ImageGainEpicardium],
         image_gain_base_kpa_per_mm: tracked.parameters[Parameter::ImageGainBase],
+        image_work_mj: work_magnitude_mj(&tracked.motion),
         gain_factors_tried: tracked.gain_choice.iter().flat_map(|choice| choice.evaluations.iter().copied()).collect(),
     }
 }
@@ -327,6 +332,7 @@ fn leave(
     if plan.output.meshes {
         write_series(folder, "tracked", &found.model, &tracked.motion.trajectory, clock)?;
     }
+    write_discrepancy(folder, &patient.anatomy, &tracked.motion)?;
     write_base_motion(folder, clock, &found.model, &tracked.motion.trajectory)?;
     let parameters = parameter_rows(found, tracked, &patient.parameters);
     write_csv(&folder.join("parameters.csv"), &parameters)?;
@@ -447,7 +453,7 @@ fn draw(
         NamedMotion { name: "tracked", trajectory: &tracked.motion.trajectory },
         NamedMotion { name: "personalised model, no image forces", trajectory: &found.fitted },
     ];
-    pictures::montages(plan, patient, images, clock, &motions)?;
+    montages(plan, patient, images, clock, &motions)?;
     let cost = found.calibration.records.iter().map(|record| record.cost).collect();
     cost_over_iterations(&folder.join("cost.png"), &CostHistory { title: "Cost of the calibration".into(), cost })?;
     let intervals: Vec<_> = parameter_rows(found, tracked, &patient.parameters).into_iter().map(|row| interval(row, recovery)).collect();

@@ -3,20 +3,16 @@
 use crate::anatomy::Ventricle;
 use crate::circulation::Phase;
 use crate::heart::{BeatDeformation, HeartModel, Strain, Trajectory, phase_events};
-use crate::image::CineSequence;
-use crate::mesh::SurfaceTag;
 use crate::report::figures::{
-    BeatCurves, Contour, Curve, Look, LoopPoint, Montage, MontagePanel, PressureVolumeLoop, StrainCurves, StrainPanel, SurfaceMap,
-    SurfaceView, TimeBand, VolumeCurves, beat_curves, pressure_volume_loop, slice_montage, strain_curves, surface_map, volume_curves,
+    BeatCurves, Curve, Look, LoopPoint, PressureVolumeLoop, StrainCurves, StrainPanel, SurfaceMap, SurfaceView, TimeBand, VolumeCurves,
+    beat_curves, pressure_volume_loop, strain_curves, surface_map, volume_curves,
 };
 use crate::study::Plan;
-use crate::tracking;
 use crate::units::MS_PER_S;
 
 use super::clock::Clock;
 use super::error::RunError;
 use super::forward::deformation;
-use super::patient::{Patient, PatientImages};
 
 /// Volumes over the last beat, pressure–volume loop and pressures; `further` curves join the volumes.
 pub(super) fn beat(plan: &Plan, clock: &Clock, trajectory: &Trajectory, further: &[Curve]) -> Result<(), RunError> {
@@ -196,144 +192,4 @@ fn wall_of(segment: u8) -> (&'static str, Look) {
         4 | 10 | 15 => ("inferior", Look::Inferior),
         _ => ("lateral", Look::Lateral),
     }
-}
-
-/// A motion with its name, for the montage.
-pub(super) struct NamedMotion<'a> {
-    pub(super) name: &'static str,
-    pub(super) trajectory: &'a Trajectory,
-}
-
-/// Slices of the short axis and of every further view at several times of the beat, with the surfaces of each motion on them.
-pub(super) fn montages(
-    plan: &Plan,
-    patient: &Patient,
-    images: &PatientImages,
-    clock: &Clock,
-    motions: &[NamedMotion],
-) -> Result<(), RunError> {
-    montage(plan, patient, &images.cine, clock, motions, "slices.png", "Short axis through the beat")?;
-    for (number, view) in images.long_axis.iter().enumerate() {
-        let file = if number == 0 { "long_axis.png".to_string() } else { format!("long_axis_{}.png", number + 1) };
-        montage(plan, patient, view, clock, motions, &file, "Long axis through the beat")?;
-    }
-    Ok(())
-}
-
-/// Slices of one view at several times of the beat, with the endocardium and epicardium of each motion on them.
-fn montage(
-    plan: &Plan,
-    patient: &Patient,
-    view: &CineSequence,
-    clock: &Clock,
-    motions: &[NamedMotion],
-    file: &str,
-    title: &str,
-) -> Result<(), RunError> {
-    let slices = slice_choice(patient, view, plan.output.montage_slices);
-    let times = time_choice(clock, motions, plan.output.montage_times);
-    let tags = [SurfaceTag::EndocardiumLv, SurfaceTag::EndocardiumRv, SurfaceTag::Epicardium];
-    let window = window_around(patient, view);
-    let mut panels = Vec::with_capacity(slices.len() * times.len());
-    for &k in &slices {
-        for &place in &times {
-            let mut panel = panel(view, nearest_frame(view, clock.times_s[place]), k, window);
-            for (surface, motion) in motions.iter().enumerate() {
-                let Some(state) = motion.trajectory.frames.get(place) else { continue };
-                for tag in tags {
-                    let triangles: Vec<_> = patient.anatomy.surface.triangles_with(tag).collect();
-                    let cut = tracking::Contour::of_surface(&triangles, &state.position_mm, view.grid(), k);
-                    panel.contours.extend(cut.segments_mm().iter().map(|ends| Contour { surface, points_mm: in_slice(view, ends) }));
-                }
-            }
-            panels.push(panel);
-        }
-    }
-    let step_mm = view.grid().spacing_mm().z;
-    let figure = Montage {
-        title: title.to_owned(),
-        surfaces: motions.iter().map(|motion| motion.name.to_owned()).collect(),
-        column_titles: times.iter().map(|&place| format!("{:.0} ms", clock.times_s[place] * MS_PER_S)).collect(),
-        row_titles: slices.iter().map(|&k| format!("{:.0} mm", k as f64 * step_mm)).collect(),
-        panels,
-        window: (0.0, 255.0),
-    };
-    Ok(slice_montage(&plan.output.directory.join(file), &figure)?)
-}
-
-/// Slices evenly spread over the cavity, apex side first.
-fn slice_choice(patient: &Patient, view: &CineSequence, count: usize) -> Vec<usize> {
-    let grid = view.grid();
-    let cavity = &patient.anatomy.cavities[0].1;
-    let heights = cavity.endocardium().iter().flatten().map(|&v| grid.to_voxel(&patient.anatomy.mesh.vertices_mm()[v]).z);
-    let (low, high) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
-    let last = grid.shape()[2].saturating_sub(1) as f64;
-    let at = |n: usize| low + (high - low) * (n as f64 + 0.75) / (count as f64 + 0.5);
-    (0..count).map(|n| at(n).round().clamp(0.0, last) as usize).collect()
-}
-
-/// Places in the clock, evenly spread, the start first and the smallest volume among them.
-fn time_choice(clock: &Clock, motions: &[NamedMotion], count: usize) -> Vec<usize> {
-    let last = clock.times_s.len().saturating_sub(1);
-    let mut places: Vec<usize> = (0..count).map(|n| (n * last) / count.max(1)).collect();
-    let volumes = motions.first().map(|motion| &motion.trajectory.frames);
-    let smallest = volumes.and_then(|frames| {
-        let volume = |place: &usize| frames[*place].volume_ml.first().copied().unwrap_or(f64::INFINITY);
-        (0..frames.len()).min_by(|a, b| volume(a).total_cmp(&volume(b)))
-    });
-    if let Some(smallest) = smallest
-        && let Some(nearest) = (1..places.len()).min_by_key(|&n| places[n].abs_diff(smallest))
-    {
-        places[nearest] = smallest;
-    }
-    places.sort_unstable();
-    places.dedup();
-    places
-}
-
-/// The frame nearest to a time.
-fn nearest_frame(view: &CineSequence, time_s: f64) -> usize {
-    let (earlier, later, weight) = view.frames_around(time_s);
-    if weight < 0.5 { earlier } else { later }
-}
-
-/// The voxels shown: first and last along i and j.
-type Window = [[usize; 2]; 2];
-
-/// The heart with 20 mm around it.
-fn window_around(patient: &Patient, view: &CineSequence) -> Window {
-    const MARGIN_MM: f64 = 20.0;
-    let grid = view.grid();
-    let mut window = [[0; 2]; 2];
-    for (axis, bounds) in window.iter_mut().enumerate() {
-        let places = patient.anatomy.mesh.vertices_mm().iter().map(|v| grid.to_voxel(v)[axis]);
-        let (low, high) = places.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
-        let margin = MARGIN_MM / grid.spacing_mm()[axis];
-        let last = grid.shape()[axis].saturating_sub(1) as f64;
-        *bounds = [(low - margin).floor().clamp(0.0, last) as usize, (high + margin).ceil().clamp(0.0, last) as usize];
-    }
-    window
-}
-
-fn panel(cine: &CineSequence, frame: usize, k: usize, [[i0, i1], [j0, j1]]: Window) -> MontagePanel {
-    let spacing = cine.grid().spacing_mm();
-    let frame = &cine.frames()[frame];
-    let intensity = (j0..=j1).flat_map(|j| (i0..=i1).map(move |i| f64::from(frame.at([i, j, k])))).collect();
-    MontagePanel {
-        columns: i1 - i0 + 1,
-        rows: j1 - j0 + 1,
-        intensity,
-        origin_mm: [i0 as f64 * spacing.x, j0 as f64 * spacing.y],
-        spacing_mm: [spacing.x, spacing.y],
-        contours: Vec::new(),
-    }
-}
-
-fn in_slice(cine: &CineSequence, ends: &[nalgebra::Vector3<f64>]) -> Vec<[f64; 2]> {
-    let spacing = cine.grid().spacing_mm();
-    let at = |end| {
-        let voxel = cine.grid().to_voxel(end);
-        [voxel.x * spacing.x, voxel.y * spacing.y]
-    };
-    ends.iter().map(at).collect()
 }

@@ -4,13 +4,15 @@ use std::time::Instant;
 
 use serde::Serialize;
 
+use super::discrepancy::write_discrepancy;
 use super::error::RunError;
 use super::forward::heart_model;
 use super::leave::{BeatSummary, Summary, frame_rows, write_base_motion, write_beat};
-use super::patient::Patient;
+use super::montages::{NamedMotion, montages};
+use super::patient::{Patient, PatientImages};
 use super::personalise::{TrackingSummary, ValidationSummary, tracking_summary, validation_summary};
-use super::pictures::{self, NamedMotion};
-use super::track::track_patient;
+use super::pictures;
+use super::track::{Tracked, track_patient};
 use crate::mesh::MeshQuality;
 use crate::report::write_json;
 use crate::study::{Outcome, Plan, RunContext, Status};
@@ -26,21 +28,34 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let started = Instant::now();
     let patient = Patient::new(plan, context)?;
     let Some(images) = &patient.images else { return Err(RunError::NothingToFit) };
-    let clock = patient.clock(1);
     let tracked = track_patient(plan, &patient, images, patient.parameters.clone(), context)?;
+    context.progress().stage("writing results", None);
+    let outcome = leave(plan, &patient, images, &tracked, started)?;
+    context.progress().finish();
+    Ok(outcome)
+}
+
+/// Writes the files of a tracked beat into the plan's folder.
+pub(super) fn leave(
+    plan: &Plan,
+    patient: &Patient,
+    images: &PatientImages,
+    tracked: &Tracked,
+    started: Instant,
+) -> Result<Outcome, RunError> {
+    let clock = patient.clock(1);
     let trajectory = &tracked.motion.trajectory;
     let model = heart_model(&plan.model, &patient.anatomy, tracked.parameters.clone())?;
-
-    context.progress().stage("writing results", None);
     let truth_ml: &[f64] = patient.truth.as_ref().map_or(&[], |truth| &truth.volumes_lv_ml);
-    write_beat(plan, &model, trajectory, &clock, &frame_rows(&clock, trajectory, Some(&tracked), &[], truth_ml))?;
+    write_beat(plan, &model, trajectory, &clock, &frame_rows(&clock, trajectory, Some(tracked), &[], truth_ml))?;
+    write_discrepancy(&plan.output.directory, &patient.anatomy, &tracked.motion)?;
     write_base_motion(&plan.output.directory, &clock, &model, trajectory)?;
     if plan.output.figures {
         pictures::beat(plan, &clock, trajectory, &[])?;
         let motions = [NamedMotion { name: "tracked", trajectory }];
-        pictures::montages(plan, &patient, images, &clock, &motions)?;
+        montages(plan, patient, images, &clock, &motions)?;
     }
-    let details = Details { tracking: tracking_summary(&tracked), validation: validation_summary(&patient, images, &tracked) };
+    let details = Details { tracking: tracking_summary(tracked), validation: validation_summary(patient, images, tracked) };
     let headlines = details.validation.iter().map(ValidationSummary::headline).collect();
     let status = Status::Converged;
     let summary = Summary {
@@ -54,6 +69,5 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
         provenance: &plan.provenance,
     };
     write_json(&plan.output.directory.join("summary.json"), &summary)?;
-    context.progress().finish();
     Ok(Outcome { status, directory: plan.output.directory.clone(), headlines })
 }

@@ -14,7 +14,7 @@ use super::cine::StudyCine;
 use super::plan::{AnatomySource, ImageSource, ImagesPlan, Plan, VolumeSource};
 use crate::heart::Parameter;
 use crate::image::{
-    CavityContours, CineSequence, CineTiming, CurvePoint, ImageError, VolumeCurve, follow_cavity, read_label_maps, read_nifti,
+    CavityContours, CineSequence, CineTiming, CurvePoint, ImageError, LabelMap, VolumeCurve, follow_cavity, read_label_maps, read_nifti,
 };
 use crate::report::{create_folder, write_csv};
 use crate::units::MS_PER_S;
@@ -112,6 +112,14 @@ fn landmarks(curve: &VolumeCurve) -> String {
     )
 }
 
+/// The volume curve of a study's left ventricle as measured.
+///
+/// # Errors
+/// As [`measure_volumes`].
+pub(super) fn measured_curve(plan: &Plan) -> Result<VolumeCurve, RunError> {
+    of_study(plan).map(|measured| measured.curve)
+}
+
 fn of_study(plan: &Plan) -> Result<Measured, RunError> {
     let Some(ImageSource::Cine(images)) = &plan.images else { return Err(RunError::NothingToFit) };
     let period_s = plan.written.contains(&Parameter::HeartPeriod).then_some(plan.parameters[Parameter::HeartPeriod]);
@@ -120,14 +128,16 @@ fn of_study(plan: &Plan) -> Result<Measured, RunError> {
     match (&images.volumes, &plan.anatomy.source) {
         (VolumeSource::Labels { path, code, slices }, _) => of_labels(path, *code, slices.clone(), times_s, period_s),
         (VolumeSource::Table(path), _) => of_table(path, period_s),
-        (VolumeSource::Images, AnatomySource::Labels { path, codes, frame }) => of_images(images, study, path, codes.cavity_lv, *frame),
+        (VolumeSource::Images, AnatomySource::Labels { path, codes, frame, slices }) => {
+            let labels = study.read_labels(path, *frame, slices.as_ref())?;
+            of_images(images, study, &labels, codes.cavity_lv, *frame)
+        }
         (VolumeSource::Images, _) => Err(RunError::NothingToFit),
     }
 }
 
-fn of_images(images: &ImagesPlan, study: StudyCine, labels: &Path, code: u16, frame: usize) -> Result<Measured, RunError> {
-    let labels = study.read_labels(labels)?;
-    let contours = follow_cavity(&study.cine, &labels, u8::try_from(code).unwrap_or(u8::MAX), frame)?;
+fn of_images(images: &ImagesPlan, study: StudyCine, labels: &LabelMap, code: u16, frame: usize) -> Result<Measured, RunError> {
+    let contours = follow_cavity(&study.cine, labels, u8::try_from(code).unwrap_or(u8::MAX), frame)?;
     let curve = VolumeCurve::new(study.cine.times_s().to_vec(), contours.volumes_ml(), study.cine.period_s())?;
     let moved = if images.correct_slice_shifts { ", slices moved into one breath-hold" } else { "" };
     let mut warnings = study.warnings;
