@@ -23,6 +23,9 @@ const BARE: PassiveProperties = PassiveProperties {
     base_stiffness_isotropic_kpa_per_mm: 0.0,
     pericardium_stiffness_kpa_per_mm: 0.0,
     pericardium_damping_kpa_s_per_mm: 0.0,
+    pericardium_base_share: 1.0,
+    valve_ring_height_mm: 0.0,
+    valve_ring_stiffness_kpa: 0.0,
 };
 
 fn operator(tissue: &Arc<Myocardium>, step_s: f64, scheme: TimeScheme) -> StepOperator {

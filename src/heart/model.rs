@@ -97,7 +97,7 @@ pub(super) struct VentricleModel {
 const ELECTRICAL: [Parameter; 4] =
     [Parameter::ConductionVelocity, Parameter::AnisotropyRatio, Parameter::EndocardialSpeedFactor, Parameter::OnsetTime];
 
-const PASSIVE: [Parameter; 10] = [
+const PASSIVE: [Parameter; 13] = [
     Parameter::FibreStiffness,
     Parameter::TransverseStiffness,
     Parameter::PoissonRatio,
@@ -108,6 +108,9 @@ const PASSIVE: [Parameter; 10] = [
     Parameter::BaseStiffnessIsotropic,
     Parameter::PericardiumStiffness,
     Parameter::PericardiumDamping,
+    Parameter::PericardiumBaseShare,
+    Parameter::ValveRingHeight,
+    Parameter::ValveRingStiffness,
 ];
 
 impl HeartModel {
@@ -121,7 +124,7 @@ impl HeartModel {
         check_settings(&settings, &anatomy, &parameters)?;
         let operator = Arc::new(step_operator(None, &anatomy, &parameters, &settings)?);
         let rhythm = Arc::new(HeartRhythm::new(&anatomy, &parameters, &settings, None)?);
-        let contraction = Contraction::new(&anatomy, &parameters)?;
+        let contraction = Contraction::new(&anatomy, operator.myocardium(), &parameters)?;
         let ventricles = anatomy.cavities.iter().map(|(v, _)| VentricleModel::new(&anatomy, *v, &parameters)).collect::<Result<_, _>>()?;
         Ok(Self { anatomy, parameters, settings, operator, rhythm, contraction, ventricles })
     }
@@ -141,7 +144,7 @@ impl HeartModel {
         };
         let own = same(&ELECTRICAL).then(|| self.rhythm.own_beat());
         let rhythm = Arc::new(HeartRhythm::new(&self.anatomy, &parameters, &self.settings, own)?);
-        let contraction = Contraction::new(&self.anatomy, &parameters)?;
+        let contraction = Contraction::new(&self.anatomy, operator.myocardium(), &parameters)?;
         let ventricles = self.ventricles.iter().map(|v| v.with_parameters(&parameters)).collect::<Result<_, _>>()?;
         let (anatomy, settings) = (Arc::clone(&self.anatomy), self.settings.clone());
         Ok(Self { anatomy, parameters, settings, operator, rhythm, contraction, ventricles })
@@ -220,7 +223,8 @@ impl HeartModel {
 }
 
 impl Contraction {
-    fn new(anatomy: &Anatomy, parameters: &Parameters) -> Result<Self, HeartError> {
+    /// The fibrous ring of the valves does not contract.
+    fn new(anatomy: &Anatomy, tissue: &Myocardium, parameters: &Parameters) -> Result<Self, HeartError> {
         let law = ContractionLaw {
             peak_kpa: 1.0,
             contraction_rate_per_s: parameters[Parameter::ContractionRate],
@@ -234,7 +238,8 @@ impl Contraction {
             Region::FreeWallRv => parameters[Parameter::ContractionPeakRv],
             Region::Scar => parameters[Parameter::ContractionPeakScar],
         };
-        Ok(Self { law, peak_kpa: anatomy.regions.iter().map(peak).collect() })
+        let peak_kpa = anatomy.regions.iter().zip(tissue.muscle_shares()).map(|(region, share)| peak(region) * share).collect();
+        Ok(Self { law, peak_kpa })
     }
 }
 
@@ -310,6 +315,9 @@ fn step_operator(
         base_stiffness_isotropic_kpa_per_mm: parameters[Parameter::BaseStiffnessIsotropic],
         pericardium_stiffness_kpa_per_mm: parameters[Parameter::PericardiumStiffness],
         pericardium_damping_kpa_s_per_mm: parameters[Parameter::PericardiumDamping],
+        pericardium_base_share: parameters[Parameter::PericardiumBaseShare],
+        valve_ring_height_mm: parameters[Parameter::ValveRingHeight],
+        valve_ring_stiffness_kpa: parameters[Parameter::ValveRingStiffness],
     };
     let Anatomy { mesh, surface, fibre_axes, .. } = anatomy;
     let myocardium = match same_mesh {

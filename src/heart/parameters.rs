@@ -94,6 +94,9 @@ parameter_table! {
     BaseStiffnessIsotropic: Mechanics "base_stiffness_isotropic_kpa_per_mm" ["kPa/mm"] = 2.5 in 0.0..1000.0, "Base springs in all directions; stiffer than published because linear kinematics need it.", "[Hirschvogel2017] 0.25";
     PericardiumStiffness: Mechanics "pericardium_stiffness_kpa_per_mm" ["kPa/mm"] = 0.0 in 0.0..1000.0, "Pericardial springs along the epicardial normal.", "off; [Hirschvogel2017] 0.075";
     PericardiumDamping: Mechanics "pericardium_damping_kpa_s_per_mm" ["kPa·s/mm"] = 0.005 in 0.0..100.0, "Pericardial dashpots along the epicardial normal.", "[Hirschvogel2017]";
+    PericardiumBaseShare: Mechanics "pericardium_base_share" ["1"] = 1.0 in 0.0..1.0, "Pericardial springs at the base relative to those at the apex; between them linear in the distance to the base.", "uniform; [Strocchi2020] lets go of the base";
+    ValveRingHeight: Mechanics "valve_ring_height_mm" ["mm"] = 0.0 in 0.0..40.0, "Height below the base of the valves' fibrous ring, which is stiff and does not contract; 0 is none.", "off";
+    ValveRingStiffness: Mechanics "valve_ring_stiffness_kpa" ["kPa"] = 300.0 in 0.0..10000.0, "Young's modulus of that ring beyond the muscle's, isotropic.", "chosen";
     ResistanceSystemic: Circulation "resistance_systemic_kpa_s_per_ml" ["kPa·s/mL"] = 0.12 in 0.001..2.0, "Peripheral resistance R of the systemic circulation.", "0.12-0.15";
     ImpedanceSystemic: Circulation "impedance_systemic_kpa_s_per_ml" ["kPa·s/mL"] = 0.008 in 0.0..0.2, "Characteristic impedance Z of the aorta.", "0.006-0.013";
     ComplianceSystemic: Circulation "compliance_systemic_ml_per_kpa" ["mL/kPa"] = 10.0 in 0.1..200.0, "Compliance C of the systemic arteries.", "8.6-12";

@@ -180,7 +180,7 @@ impl Tangent {
             let this = &*self;
             let compute = |index: usize| {
                 let law = PointLaw {
-                    material: tissue.material(),
+                    material: tissue.material(first + index),
                     stiffening: this.stiffening,
                     rest_stretch: &this.rest_stretch[first + index],
                     tension_kpa: this.tension_kpa[first + index],
@@ -266,6 +266,9 @@ mod tests {
             base_stiffness_isotropic_kpa_per_mm: 0.0,
             pericardium_stiffness_kpa_per_mm: 0.0,
             pericardium_damping_kpa_s_per_mm: 0.0,
+            pericardium_base_share: 1.0,
+            valve_ring_height_mm: 0.0,
+            valve_ring_stiffness_kpa: 0.0,
         };
         Myocardium::new(&mesh, &surface, &axes, &properties).unwrap()
     }

@@ -27,14 +27,29 @@ pub struct PassiveProperties {
     pub pericardium_stiffness_kpa_per_mm: f64,
     /// Pericardial dashpots along the epicardial normal, kPa·s/mm.
     pub pericardium_damping_kpa_s_per_mm: f64,
+    /// Pericardial springs at the base relative to those at the apex; between them linear in the distance to the base.
+    pub pericardium_base_share: f64,
+    /// Height of the fibrous ring of the valves below the base, mm; 0 is none.
+    pub valve_ring_height_mm: f64,
+    /// Young's modulus that the ring has beyond the muscle's, isotropic, kPa.
+    pub valve_ring_stiffness_kpa: f64,
 }
 
 impl PassiveProperties {
+    /// Whether they differ from place to place.
+    pub(super) fn depend_on_base_distance(&self) -> bool {
+        self.valve_ring_height_mm > 0.0 || self.pericardium_base_share < 1.0
+    }
+
     /// Checks every value but the elastic constants, which [`TransverseIsotropy::new`] checks.
     pub(super) fn check(&self) -> Result<(), MechanicsError> {
         let (value, property) = (self.density_kg_per_mm3, "density_kg_per_mm3");
         if !(value.is_finite() && value > 0.0) {
             return Err(MechanicsError::Property { property, value, requirement: "finite and positive" });
+        }
+        let (value, property) = (self.pericardium_base_share, "pericardium_base_share");
+        if !(0.0..=1.0).contains(&value) {
+            return Err(MechanicsError::Property { property, value, requirement: "between 0 and 1" });
         }
         let not_negative = [
             ("damping_mass_per_s", self.damping_mass_per_s),
@@ -43,6 +58,8 @@ impl PassiveProperties {
             ("base_stiffness_isotropic_kpa_per_mm", self.base_stiffness_isotropic_kpa_per_mm),
             ("pericardium_stiffness_kpa_per_mm", self.pericardium_stiffness_kpa_per_mm),
             ("pericardium_damping_kpa_s_per_mm", self.pericardium_damping_kpa_s_per_mm),
+            ("valve_ring_height_mm", self.valve_ring_height_mm),
+            ("valve_ring_stiffness_kpa", self.valve_ring_stiffness_kpa),
         ];
         for (property, value) in not_negative {
             if !(value.is_finite() && value >= 0.0) {
@@ -103,6 +120,11 @@ impl TransverseIsotropy {
             normal_kpa: Matrix3::new(along, coupling, coupling, coupling, across, within, coupling, within, across),
             shear_kpa: Matrix3::new(0.0, shear_f, shear_f, shear_f, 0.0, shear_t, shear_f, shear_t, 0.0),
         })
+    }
+
+    /// This material and a share of another in one place: their stresses add up.
+    pub(super) fn with_share(&self, share: f64, other: &Self) -> Self {
+        Self { normal_kpa: self.normal_kpa + other.normal_kpa * share, shear_kpa: self.shear_kpa + other.shear_kpa * share }
     }
 
     /// Stiffness of normal strains in fibre axes, kPa.

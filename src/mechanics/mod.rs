@@ -1,5 +1,6 @@
 //! Active and visco-elastic mechanics of the myocardium, \[Billet2009\] §2; every force is a load on one step system.
 
+mod base_distance;
 mod contraction;
 mod corotational;
 mod element;

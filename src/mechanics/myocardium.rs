@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::base_distance::BaseDistance;
 use super::corotational::PointLaw;
 use super::element::Element;
 use super::springs::SurfaceSprings;
@@ -30,7 +31,9 @@ pub struct Myocardium {
     tetrahedra: Vec<[usize; 4]>,
     /// −V f (f·∇N_a), mm²: the force at corner a of a unit fibre tension.
     contraction_mm2: Vec<[Vector3<f64>; 4]>,
-    material: TransverseIsotropy,
+    /// w a tetrahedron: 1 in muscle, 0 in the fibrous ring of the valves.
+    muscle_shares: Vec<f64>,
+    materials: Vec<TransverseIsotropy>,
     elements: Vec<Element>,
     structure: Arc<CholeskyStructure>,
     stiffness: BlockMatrix,
@@ -84,8 +87,14 @@ impl Myocardium {
     ) -> Result<Self, MechanicsError> {
         properties.check()?;
         let (e_f, e_t) = (properties.fibre_stiffness_kpa, properties.transverse_stiffness_kpa);
-        let material = TransverseIsotropy::new(e_f, e_t, properties.poisson_ratio)?;
+        let muscle = TransverseIsotropy::new(e_f, e_t, properties.poisson_ratio)?;
         check_axes(mesh, fibre_axes)?;
+        let from_base = if properties.depend_on_base_distance() { BaseDistance::new(mesh, surface) } else { None };
+        let muscle_shares = match &from_base {
+            Some(distance) => distance.muscle_shares(mesh.tetrahedra(), properties.valve_ring_height_mm),
+            None => vec![1.0; mesh.tetrahedron_count()],
+        };
+        let materials = with_valve_ring(&muscle, properties, &muscle_shares)?;
         let mut stiffness = BlockMatrix::zeros(Arc::clone(structure.pattern()));
         let mut vertex_mass_kg = vec![0.0; mesh.vertex_count()];
         let mut contraction_mm2 = Vec::with_capacity(mesh.tetrahedron_count());
@@ -93,7 +102,7 @@ impl Myocardium {
         for (tetrahedron, (corners, axes)) in mesh.tetrahedra().iter().zip(fibre_axes).enumerate() {
             let volume_mm3 = mesh.volume_mm3(tetrahedron);
             let gradients = shape_gradients(&mesh.corners_mm(tetrahedron));
-            add_element_stiffness(&mut stiffness, corners, &gradients, axes, volume_mm3, &material)?;
+            add_element_stiffness(&mut stiffness, corners, &gradients, axes, volume_mm3, &materials[tetrahedron])?;
             elements.push(Element::new(&gradients, axes, volume_mm3));
             let fibre = axes.column(0).into_owned();
             contraction_mm2.push(gradients.map(|gradient| fibre * (-volume_mm3 * fibre.dot(&gradient))));
@@ -103,15 +112,20 @@ impl Myocardium {
         }
         let rest_mm = mesh.vertices_mm().to_vec();
         let springs = |tag, normal, isotropic| SurfaceSprings::new(surface, tag, &rest_mm, normal, isotropic);
+        let mut pericardium_springs = springs(SurfaceTag::Epicardium, properties.pericardium_stiffness_kpa_per_mm, 0.0);
+        if let Some(distance) = &from_base {
+            pericardium_springs.grade(&distance.grading(properties.pericardium_base_share));
+        }
         Ok(Self {
             base: springs(SurfaceTag::Base, properties.base_stiffness_normal_kpa_per_mm, properties.base_stiffness_isotropic_kpa_per_mm),
-            pericardium_springs: springs(SurfaceTag::Epicardium, properties.pericardium_stiffness_kpa_per_mm, 0.0),
+            pericardium_springs,
             pericardium_dashpots: springs(SurfaceTag::Epicardium, properties.pericardium_damping_kpa_s_per_mm, 0.0),
             properties: *properties,
             tetrahedra: mesh.tetrahedra().to_vec(),
             rest_mm,
             contraction_mm2,
-            material,
+            muscle_shares,
+            materials,
             elements,
             structure,
             stiffness,
@@ -142,6 +156,11 @@ impl Myocardium {
     /// Vertices held by base springs, ascending; moving anchors are given in this order.
     pub fn base_vertices(&self) -> &[usize] {
         &self.base.vertices
+    }
+
+    /// Share of muscle a tetrahedron: 1, and less in the fibrous ring of the valves, which does not contract.
+    pub fn muscle_shares(&self) -> &[f64] {
+        &self.muscle_shares
     }
 
     /// K, the stiffness of the tissue without springs, kPa·mm (= mN/mm).
@@ -196,9 +215,9 @@ impl Myocardium {
         &self.elements
     }
 
-    /// The passive material.
-    pub(super) fn material(&self) -> &TransverseIsotropy {
-        &self.material
+    /// The passive material of a tetrahedron.
+    pub(super) fn material(&self, tetrahedron: usize) -> &TransverseIsotropy {
+        &self.materials[tetrahedron]
     }
 
     /// Energy of the tissue at rest of motion in corotational kinematics, mN·mm: its stretch and the tension σC (kPa a tetrahedron) of
@@ -212,8 +231,12 @@ impl Myocardium {
         check_size("positions, one a vertex", self.rest_mm.len(), position_mm.len())?;
         let rest_stretch = Matrix3::identity();
         let energy = |(tetrahedron, element): (usize, &Element)| {
-            let law =
-                PointLaw { material: &self.material, stiffening: 1.0, rest_stretch: &rest_stretch, tension_kpa: tension_kpa[tetrahedron] };
+            let law = PointLaw {
+                material: self.material(tetrahedron),
+                stiffening: 1.0,
+                rest_stretch: &rest_stretch,
+                tension_kpa: tension_kpa[tetrahedron],
+            };
             let corners_mm = self.tetrahedra[tetrahedron].map(|corner| position_mm[corner]);
             element.energy_mn_mm(law, corners_mm).ok_or(MechanicsError::InvertedElement { tetrahedron })
         };
@@ -258,6 +281,20 @@ fn shape_gradients(corners: &[Vector3<f64>; 4]) -> [Vector3<f64>; 4] {
     let determinant = u.cross(&v).dot(&w);
     let (gb, gc, gd) = (v.cross(&w) / determinant, w.cross(&u) / determinant, u.cross(&v) / determinant);
     [-(gb + gc + gd), gb, gc, gd]
+}
+
+/// The material of every tetrahedron: muscle everywhere, and beside it what it lacks of muscle in the ring's stiffness.
+fn with_valve_ring(
+    muscle: &TransverseIsotropy,
+    properties: &PassiveProperties,
+    muscle_shares: &[f64],
+) -> Result<Vec<TransverseIsotropy>, MechanicsError> {
+    let stiffness_kpa = properties.valve_ring_stiffness_kpa;
+    if stiffness_kpa == 0.0 {
+        return Ok(vec![*muscle; muscle_shares.len()]);
+    }
+    let ring = TransverseIsotropy::new(stiffness_kpa, stiffness_kpa, properties.poisson_ratio)?;
+    Ok(muscle_shares.iter().map(|share| muscle.with_share(1.0 - share, &ring)).collect())
 }
 
 fn add_element_stiffness(

@@ -33,6 +33,13 @@ impl SurfaceSprings {
         Self { vertices, blocks }
     }
 
+    /// Multiplies the springs of every vertex with its part of `grading`, one entry a vertex of the mesh.
+    pub(super) fn grade(&mut self, grading: &[f64]) {
+        for (vertex, block) in self.vertices.iter().zip(&mut self.blocks) {
+            *block *= grading[*vertex];
+        }
+    }
+
     pub(super) fn iter(&self) -> impl Iterator<Item = (usize, &Matrix3<f64>)> {
         self.vertices.iter().copied().zip(&self.blocks)
     }

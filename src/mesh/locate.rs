@@ -139,6 +139,12 @@ fn barycentric(&[a, b, c, d]: &[Vector3<f64>; 4], p: &Vector3<f64>) -> [f64; 4] 
     [1.0 - at_b - at_c - at_d, at_b, at_c, at_d]
 }
 
+/// Distance of a point to a triangle, mm.
+pub fn distance_to_triangle_mm(corners_mm: &[Vector3<f64>; 3], point_mm: &Vector3<f64>) -> f64 {
+    let place: Vector3<f64> = corners_mm.iter().zip(nearest_in_triangle(*corners_mm, point_mm)).map(|(corner, share)| corner * share).sum();
+    (point_mm - place).norm()
+}
+
 /// Weights of the point of a triangle nearest to `p`, by the regions of its corners, edges and face \[Ericson2005\] §5.1.5.
 fn nearest_in_triangle([a, b, c]: [Vector3<f64>; 3], p: &Vector3<f64>) -> [f64; 3] {
     let (ab, ac, ap, bp, cp) = (b - a, c - a, p - a, p - b, p - c);

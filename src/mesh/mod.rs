@@ -13,7 +13,7 @@ mod tet_mesh;
 pub use cavity::Cavity;
 pub use closed_surface::{ClosedSurface, PointLattice};
 pub use error::MeshError;
-pub use locate::{Location, TetLocator};
+pub use locate::{Location, TetLocator, distance_to_triangle_mm};
 pub use quality::MeshQuality;
 pub use section::{Contour, section};
 pub use surface::{SurfaceTag, TaggedSurface};
