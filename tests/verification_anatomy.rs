@@ -6,8 +6,8 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use cardiotwin::anatomy::mesher::{MesherSettings, WallShape, mesh_inside, mesh_wall};
-use cardiotwin::anatomy::{AnatomySettings, FibreRule, IdealisedBiventricle, Region, Ventricle, build_lv_from_fields, complete_anatomy};
-use cardiotwin::image::{FieldOptions, VentricleCodes, read_label_map, ventricle_fields};
+use cardiotwin::anatomy::{AnatomySettings, FibreRule, IdealisedBiventricle, Region, Ventricle, build_from_fields, complete_anatomy};
+use cardiotwin::image::{FieldOptions, HeartCodes, heart_fields, read_label_map};
 use cardiotwin::mesh::io::{Numbering, TableFiles, TagCodes, read_mesh_tables};
 use cardiotwin::mesh::{Cavity, MeshError, MeshQuality, SurfaceTag, TaggedSurface, TetMesh};
 use nalgebra::Vector3;
@@ -193,13 +193,13 @@ fn a_patient_becomes_a_mesh_of_the_labels_volumes() {
         return;
     }
     let labels = read_label_map(&path).unwrap();
-    let fields = ventricle_fields(&labels, &VentricleCodes { cavity: 1, wall: 2 }, &FieldOptions::default()).unwrap();
+    let fields = heart_fields(&labels, &HeartCodes::left(1, 2), &FieldOptions::default()).unwrap();
     let mesher = MesherSettings::with_edge_length_mm(6.5);
-    let anatomy = build_lv_from_fields(&fields, &mesher, &AnatomySettings::default()).unwrap();
+    let anatomy = build_from_fields(&fields, &mesher, &AnatomySettings::default()).unwrap();
     let cavity = Cavity::new(&anatomy.surface, SurfaceTag::EndocardiumLv).unwrap();
     let cavity_ml = cavity.volume_mm3(anatomy.mesh.vertices_mm()) / 1e3;
     let quality = MeshQuality::of(&anatomy.mesh);
-    assert!((cavity_ml / fields.report.labelled_cavity_ml - 1.0).abs() < 0.02, "{cavity_ml} mL");
+    assert!((cavity_ml / fields.report.labelled_cavity_lv_ml - 1.0).abs() < 0.02, "{cavity_ml} mL");
     assert!((quality.volume_mm3 / 1e3 / fields.report.labelled_wall_ml - 1.0).abs() < 0.02, "{quality:?}");
     assert!(quality.dihedral_least_deg > 12.0 && quality.dihedral_percentile_1_deg > 20.0, "{quality:?}");
     assert!((2000..4000).contains(&quality.vertex_count), "{quality:?}");

@@ -3,12 +3,13 @@
 use nalgebra::Vector3;
 
 use super::fibres::local_axes;
-use super::mesher::{MesherSettings, WallShape, mesh_wall};
+use super::mesher::{LevelSet, MesherSettings, WallShape, mesh_wall};
 use super::segments::{aha_segment, cavity_depth_mm, heart_axes, region_of_segment};
 use super::transmural::{lay_out_biventricle, lay_out_lv};
 use super::{Anatomy, AnatomyError, DEFAULT_SEPTAL_DIRECTION, FibreRule, Region, Ventricle};
-use crate::image::{VentricleFields, Volume};
-use crate::mesh::{TaggedSurface, TetMesh};
+use crate::image::{HeartFields, Volume, enclosed_volume_ml};
+use crate::mesh::{SurfaceTag, TaggedSurface, TetMesh};
+use crate::units::MM3_PER_ML;
 
 /// What a mesh alone does not say.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,30 +37,89 @@ pub fn build_anatomy(shape: &WallShape, mesher: &MesherSettings, settings: &Anat
     complete_anatomy(mesh, surface, settings)
 }
 
-/// Meshes the left ventricle of an image's signed-distance fields and completes it.
+/// Volumes of cavities and hull that are off by less than this share are left as they are.
+const VOLUME_TOLERANCE: f64 = 2e-3;
+
+/// Meshes the heart of an image's signed-distance fields, one ventricle or two, and completes it.
+///
+/// A polyhedron with its corners on a curved surface encloses less than the surface does where it bulges. The mesh is therefore made twice:
+/// the second time every level set is moved by δ = (V − V_mesh)/A, with V the volume that it encloses, V_mesh that of the first mesh and A the
+/// area of its surface. What remains is of a higher order in the edge length, and the surface lies as much inside as outside of the true
+/// one.
 ///
 /// # Errors
 /// [`AnatomyError`] of [`build_anatomy`].
-pub fn build_lv_from_fields(
-    fields: &VentricleFields,
-    mesher: &MesherSettings,
-    settings: &AnatomySettings,
-) -> Result<Anatomy, AnatomyError> {
-    let cavity = |p: &Vector3<f64>| distance_mm(&fields.cavity, p);
-    let epicardium = |p: &Vector3<f64>| distance_mm(&fields.epicardium, p);
-    let shape = WallShape {
-        epicardium: &epicardium,
-        cavities: vec![(Ventricle::Left, &cavity)],
-        base_point_mm: fields.base_plane.point_mm,
-        base_normal: fields.base_plane.normal,
-        bounds_mm: box_of(&fields.epicardium),
-    };
-    build_anatomy(&shape, mesher, settings)
+pub fn build_from_fields(fields: &HeartFields, mesher: &MesherSettings, settings: &AnatomySettings) -> Result<Anatomy, AnatomyError> {
+    settings.fibres.check()?;
+    let mut shifts = Shifts::default();
+    let (mesh, surface) = shifts.mesh(fields, mesher)?;
+    let is_near = shifts.correct(fields, &mesh, &surface)?;
+    let (mesh, surface) = if is_near { (mesh, surface) } else { shifts.mesh(fields, mesher)? };
+    complete_anatomy(mesh, surface, settings)
 }
+
+/// By how much each level set is moved outward, mm.
+#[derive(Default)]
+struct Shifts {
+    epicardium_mm: f64,
+    cavities_mm: [f64; 2],
+}
+
+impl Shifts {
+    fn mesh(&self, fields: &HeartFields, mesher: &MesherSettings) -> Result<(TetMesh, TaggedSurface), AnatomyError> {
+        let left = |p: &Vector3<f64>| distance_mm(&fields.cavity_lv, p) - self.cavities_mm[0];
+        let right = |p: &Vector3<f64>| fields.cavity_rv.as_ref().map_or(FAR_MM, |field| distance_mm(field, p)) - self.cavities_mm[1];
+        let epicardium = |p: &Vector3<f64>| distance_mm(&fields.epicardium, p) - self.epicardium_mm;
+        let mut cavities: Vec<(Ventricle, &LevelSet)> = vec![(Ventricle::Left, &left)];
+        if fields.cavity_rv.is_some() {
+            cavities.push((Ventricle::Right, &right));
+        }
+        let shape = WallShape {
+            epicardium: &epicardium,
+            cavities,
+            base_point_mm: fields.base_plane.point_mm,
+            base_normal: fields.base_plane.normal,
+            bounds_mm: box_of(&fields.epicardium),
+        };
+        mesh_wall(&shape, mesher)
+    }
+
+    /// Sets the shifts that make up for what a mesh lacks; whether it lacks nothing.
+    fn correct(&mut self, fields: &HeartFields, mesh: &TetMesh, surface: &TaggedSurface) -> Result<bool, AnatomyError> {
+        let area_mm2 = |tag| {
+            let of = |[a, b, c]: [usize; 3]| {
+                let at = |v: usize| mesh.vertices_mm()[v];
+                (at(b) - at(a)).cross(&(at(c) - at(a))).norm() / 2.0
+            };
+            surface.triangles_with(tag).map(of).sum::<f64>()
+        };
+        let wanted_mm3 = [Some(&fields.cavity_lv), fields.cavity_rv.as_ref()].map(|field| field.map(|f| enclosed_volume_mm3(f, fields)));
+        let mut hull_mm3 = mesh.total_volume_mm3();
+        let mut largest = 0.0_f64;
+        for ((ventricle, cavity), (wanted, shift)) in
+            Anatomy::close_cavities(surface)?.iter().zip(wanted_mm3.iter().zip(&mut self.cavities_mm))
+        {
+            let meshed_mm3 = cavity.volume_mm3(mesh.vertices_mm());
+            let lacking_mm3 = wanted.unwrap_or(meshed_mm3) - meshed_mm3;
+            *shift += lacking_mm3 / area_mm2(ventricle.endocardium());
+            hull_mm3 += meshed_mm3;
+            largest = largest.max(lacking_mm3.abs() / meshed_mm3);
+        }
+        let lacking_mm3 = enclosed_volume_mm3(&fields.epicardium, fields) - hull_mm3;
+        self.epicardium_mm += lacking_mm3 / area_mm2(SurfaceTag::Epicardium);
+        Ok(largest.max(lacking_mm3.abs() / hull_mm3) < VOLUME_TOLERANCE)
+    }
+}
+
+fn enclosed_volume_mm3(field: &Volume, fields: &HeartFields) -> f64 {
+    enclosed_volume_ml(field, &fields.base_plane) * MM3_PER_ML
+}
+
+/// Beyond the grid everything is outside by this much.
+const FAR_MM: f64 = 1e3;
 
 /// A sampled signed distance; beyond the grid everything is far outside.
 fn distance_mm(field: &Volume, position_mm: &Vector3<f64>) -> f64 {
-    const FAR_MM: f64 = 1e3;
     field.sample(position_mm).unwrap_or(FAR_MM)
 }
 

@@ -4,6 +4,7 @@ use nalgebra::{Rotation3, Vector3};
 
 use super::mesher::{MesherSettings, WallShape};
 use super::{Anatomy, AnatomyError, AnatomySettings, Ventricle, build_anatomy};
+use crate::numerics::rounded_max;
 
 /// The left ventricle lies between two half-ellipsoids of revolution; the right one is the part of a wider ellipsoid, shifted towards the
 /// septal side, that lies outside the left epicardium. A plane above the equator cuts both.
@@ -153,12 +154,6 @@ fn ellipsoid_distance_mm(p: &Vector3<f64>, radii_mm: &Vector3<f64>) -> f64 {
     let k = scaled.norm();
     let slope = scaled.component_div(radii_mm).norm();
     if slope < 1e-12 { -radii_mm.min() } else { k * (k - 1.0) / slope }
-}
-
-/// The larger of two numbers, rounded where they are nearly equal: never less than the larger, and more by at most `radius`/4.
-fn rounded_max(a: f64, b: f64, radius: f64) -> f64 {
-    let overlap = (radius - (a - b).abs()).max(0.0);
-    a.max(b) + overlap * overlap / (4.0 * radius)
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ pub mod mesher;
 mod segments;
 mod transmural;
 
-pub use build::{AnatomySettings, build_anatomy, build_lv_from_fields, complete_anatomy};
+pub use build::{AnatomySettings, build_anatomy, build_from_fields, complete_anatomy};
 pub use error::AnatomyError;
 pub use fibres::FibreRule;
 pub use idealised_biventricle::IdealisedBiventricle;

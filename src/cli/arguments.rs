@@ -25,6 +25,8 @@ pub(super) enum Command {
     Check(StudyArguments),
     /// Say what an image shows: grid, spacing, orientation, frames, times, labels, and what is odd about it
     Info(InfoArguments),
+    /// Mesh the heart of a study, of a label map or of masks, and say what the mesh is worth
+    Mesh(MeshArguments),
     /// Measure the volume curve of the left ventricle: end-diastole, end-systole, diastasis, ejection fraction
     Volumes(VolumesArguments),
     /// Move points with the heart of a finished run and write their paths
@@ -56,6 +58,35 @@ pub(super) struct InfoArguments {
     /// Print JSON in place of a table
     #[arg(long)]
     pub(super) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct MeshArguments {
+    /// A study file; a label map (NIfTI: 1 LV cavity, 2 wall, others by --set); or the masks of epicardium, left endocardium and, if there is
+    /// one, right endocardium
+    #[arg(value_name = "STUDY.toml|LABELS|MASK", required = true, num_args = 1..=3)]
+    pub(super) paths: Vec<PathBuf>,
+    /// The mesh: .vtu, .vtk or .msh
+    #[arg(short, long, value_name = "FILE", default_value = "heart.vtu")]
+    pub(super) output: PathBuf,
+    /// Length of a tetrahedron's edge, mm; anatomy.edge_length_mm of the study where absent
+    #[arg(long, value_name = "MM")]
+    pub(super) edge_length_mm: Option<f64>,
+    /// Of a study with images: draw the mesh's contours on their slices into this folder
+    #[arg(long, value_name = "DIR")]
+    pub(super) figures: Option<PathBuf>,
+    /// Folder of the data, in place of the study file's `data`
+    #[arg(long, value_name = "DIR")]
+    pub(super) data: Option<PathBuf>,
+    /// Set a key of the study, such as anatomy.code_cavity_rv=3; may be repeated
+    #[arg(long = "set", value_name = "TABLE.KEY=VALUE")]
+    pub(super) settings: Vec<String>,
+    /// Print JSON in place of a table
+    #[arg(long)]
+    pub(super) json: bool,
+    /// Say nothing but warnings, errors and results
+    #[arg(short, long)]
+    pub(super) quiet: bool,
 }
 
 #[derive(Debug, Args)]

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::heart::{Parameter, ParameterSpec, Section};
-use crate::study::plan::{AnatomySource, Beats, FreeParameter, ImageSource, ModelAnatomy, OnsetSite};
+use crate::study::plan::{AnatomySource, Beats, FreeParameter, ImageSource, LabelSource, ModelAnatomy, OnsetSite};
 use crate::study::{Choice, Plan};
 
 /// An error and what caused it, one cause a line.
@@ -51,9 +51,16 @@ pub(super) fn plan_lines(plan: &Plan) -> String {
 
 fn anatomy(plan: &Plan) -> String {
     let shape = match &plan.anatomy.source {
-        AnatomySource::Labels { path, codes, frame, .. } => {
-            format!("{} (cavity {}, wall {}) on frame {frame}", name(path), codes.cavity_lv, codes.wall_lv)
-        }
+        AnatomySource::Labels(drawn) => match &drawn.source {
+            LabelSource::Map { path, codes } => {
+                let right = codes.cavity_rv.map_or(String::new(), |code| format!(", RV cavity {code}"));
+                format!("{} (cavity {}, wall {}{right}) on frame {}", name(path), codes.cavity_lv, codes.wall_lv, drawn.frame)
+            }
+            masks => {
+                let names: Vec<String> = masks.files().into_iter().map(name).collect();
+                format!("masks {} on frame {}", names.join(", "), drawn.frame)
+            }
+        },
         AnatomySource::Mesh(mesh) => {
             let fibres = match &mesh.fibre_field {
                 Some(field) => format!("its own (`{field}`)"),

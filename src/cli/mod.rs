@@ -3,6 +3,7 @@
 mod arguments;
 mod exit;
 mod info;
+mod mesh;
 mod messages;
 mod progress;
 mod run;
@@ -27,6 +28,7 @@ pub fn main() -> ExitCode {
         Command::Run(arguments) => run::run_study(arguments),
         Command::Check(arguments) => check_study(arguments),
         Command::Info(arguments) => info::show(&arguments),
+        Command::Mesh(arguments) => mesh::make(arguments),
         Command::Volumes(arguments) => volumes::measure(arguments),
         Command::Follow(arguments) => follow_points(&arguments),
         Command::Parameters => print(&messages::parameter_table()).map(|()| Exit::Done),

@@ -24,7 +24,10 @@ pub use contour::{CavityContours, CavitySlice, follow_cavity};
 pub use dicom::{DicomFolder, DicomStack, read_dicom_folder};
 pub use error::ImageError;
 pub use grid::Grid;
-pub use mask::{ApexEnd, BaseCut, FieldOptions, FieldReport, Plane, VentricleCodes, VentricleFields, enclosed_volume_ml, ventricle_fields};
+pub use mask::{
+    ApexEnd, BaseCut, FieldOptions, FieldReport, HeartCodes, HeartFields, MASK_CODES, Plane, enclosed_volume_ml, heart_fields,
+    labels_of_masks,
+};
 pub use nifti::{CineReading, NiftiImage, read_cine, read_label_map, read_label_maps, read_nifti};
 pub use preprocess::{PREPARED_MAX, PreprocessSettings, preprocess};
 pub use sampling::CineInstant;

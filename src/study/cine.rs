@@ -4,7 +4,8 @@
 use std::ops::Range;
 use std::path::Path;
 
-use super::plan::ImagesPlan;
+use super::drawn_heart::DrawnHeart;
+use super::plan::{ImagesPlan, LabelsPlan};
 use crate::image::{
     CineReading, CineSequence, CineTiming, ImageError, LabelMap, SliceShifts, correct_label_shifts, correct_slice_shifts,
     estimate_slice_shifts, read_cine_source, read_label_maps, read_views,
@@ -50,6 +51,12 @@ impl StudyCine {
     /// The labels that were drawn on one frame of the cine as it was scanned, moved with its slices; see [`read_labels`].
     pub(super) fn read_labels(&self, path: &Path, frame: usize, slices: Option<&Range<usize>>) -> Result<LabelMap, ImageError> {
         Ok(self.moved(read_labels(path, frame, slices)?))
+    }
+
+    /// The heart of a plan, which was drawn on the cine as it was scanned, moved with its slices.
+    pub(super) fn read_heart(&self, plan: &LabelsPlan) -> Result<DrawnHeart, ImageError> {
+        let drawn = DrawnHeart::read(plan)?;
+        Ok(DrawnHeart { labels: self.moved(drawn.labels), ..drawn })
     }
 
     /// The labels of every frame of the cine, moved with its slices.

@@ -50,6 +50,21 @@ impl Config {
         Ok(Self { file: file.to_path_buf(), text, document, overrides })
     }
 
+    /// The study that meshes a heart from a label map, or from the masks of epicardium, left and (if there is one) right endocardium; their
+    /// paths start from the working directory.
+    ///
+    /// # Errors
+    /// [`StudyError`] if an override cannot be understood.
+    pub fn of_drawing(paths: &[PathBuf], overrides: Overrides) -> Result<Self, StudyError> {
+        const MASKS: [&str; 3] = ["mask_epicardium", "mask_endocardium_lv", "mask_endocardium_rv"];
+        let keys = if paths.len() == 1 { &["labels"][..] } else { &MASKS };
+        let files = keys.iter().zip(paths).map(|(key, path)| (key.to_string(), Value::String(path.to_string_lossy().into_owned())));
+        let anatomy = Value::Table(files.collect());
+        let document: Table = [("kind".to_string(), Value::String("mesh".into())), ("anatomy".to_string(), anatomy)].into_iter().collect();
+        let overrides = Overrides { data: overrides.data.or_else(|| Some(".".into())), ..overrides };
+        Self::from_text(Path::new("command line"), document.to_string(), overrides)
+    }
+
     /// The study file.
     pub fn file(&self) -> &Path {
         &self.file

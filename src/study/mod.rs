@@ -2,6 +2,7 @@
 
 mod cine;
 mod config;
+mod drawn_heart;
 mod error;
 mod follow;
 mod outcome;
@@ -20,5 +21,5 @@ pub use plan::{Kind, Plan};
 pub use progress::{Progress, RunContext, Silent};
 pub use provenance::Provenance;
 pub use reader::Choice;
-pub use run::{RunError, run};
+pub use run::{MeshReport, PartVolume, RunError, SurfaceAgreement, mesh_heart, run};
 pub use volumes::{CurveSource, measure_volumes};

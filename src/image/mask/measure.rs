@@ -9,7 +9,7 @@ use crate::image::Volume;
 const SAMPLES: usize = 5;
 
 /// Volume (mL) where the trilinear `field` is negative, on the inner side of `base`. Cells count as below or beyond the plane by their
-/// centre: exact where a layer of nodes lies on the plane, as in [`super::VentricleFields`].
+/// centre: exact where a layer of nodes lies on the plane, as in [`super::HeartFields`].
 pub fn enclosed_volume_ml(field: &Volume, base: &Plane) -> f64 {
     let grid = field.grid();
     let [ni, nj, nk] = grid.shape();

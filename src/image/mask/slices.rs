@@ -1,11 +1,12 @@
-//! The labelled slices of a ventricle: cleaned, checked for an open wall, ordered from apex to base.
+//! The labelled slices of a heart: cleaned, checked for an open wall, ordered from apex to base.
 
 use nalgebra::Vector2;
 
-use super::{ApexEnd, FieldOptions, VentricleCodes};
+use super::{ApexEnd, FieldOptions, HeartCodes};
 use crate::image::{ImageError, LabelMap};
 
-/// A slice whose cavity touches the background along more of its outline than this has an open wall.
+/// A slice whose left cavity touches the background along more of its outline than this has an open wall; a right cavity that does so over
+/// all slices has none labelled.
 const OPEN_FRACTION_MAX: f64 = 0.1;
 
 /// Pixels by which the region surpasses the margin asked for, so that outlines can be smoothed in it.
@@ -16,10 +17,20 @@ const REGION_RESERVE_PIXELS: isize = 4;
 pub(super) struct LabelledSlice {
     /// Index k in the label map.
     pub(super) index: usize,
-    /// The blood; `None` in a slice of wall alone, beyond the cavity's apex.
+    /// The left blood; `None` in a slice of wall alone, beyond the cavity's apex.
     pub(super) cavity: Option<Vec<bool>>,
-    /// Blood and wall: what the epicardium encloses.
+    /// The right blood; `None` below its apex, and everywhere if it is not asked for.
+    pub(super) cavity_rv: Option<Vec<bool>>,
+    /// Blood and labelled wall: what the epicardium encloses.
     pub(super) outline: Vec<bool>,
+}
+
+impl LabelledSlice {
+    /// Outline without blood.
+    pub(super) fn wall(&self) -> Vec<bool> {
+        let is_blood = |flat: usize| [&self.cavity, &self.cavity_rv].into_iter().flatten().any(|mask| mask[flat]);
+        (0..self.outline.len()).map(|flat| self.outline[flat] && !is_blood(flat)).collect()
+    }
 }
 
 /// The usable slices from apex to base on a common region of pixels.
@@ -31,31 +42,37 @@ pub(super) struct SliceStack {
     /// Index (i, j) in the label map of the region's first pixel; may lie outside of the map.
     pub(super) first_pixel: [isize; 2],
     pub(super) spacing_mm: Vector2<f64>,
+    /// Whether the right cavity has no labelled wall.
+    pub(super) rv_is_open: bool,
     pub(super) warnings: Vec<String>,
 }
 
 impl SliceStack {
     /// Finds, cleans, checks and orders the slices.
-    pub(super) fn from_labels(labels: &LabelMap, codes: &VentricleCodes, options: &FieldOptions) -> Result<Self, ImageError> {
-        let unusable = |reason: String| ImageError::UnusableMask { reason };
+    pub(super) fn from_labels(labels: &LabelMap, codes: &HeartCodes, options: &FieldOptions) -> Result<Self, ImageError> {
+        let unusable = |reason: String| Err(ImageError::UnusableMask { reason });
         let mut warnings = Vec::new();
         let region = Region::around(labels, codes, options, &mut warnings)?;
+        let has_rv = codes.cavity_rv.is_some();
         let mut slices = Vec::new();
         for index in region.slices.clone() {
-            let (cavity, outline) = (region.mask(labels, index, &[codes.cavity]), region.mask(labels, index, &[codes.cavity, codes.wall]));
-            slices.extend(clean_slice(index, cavity, outline, region.shape, &mut warnings));
+            slices.extend(clean_slice(&RawSlice::of(&region, labels, index, codes), region.shape, &mut warnings));
         }
         order_from_apex(&mut slices, options.apex, &mut warnings);
-        drop_open_ends(&mut slices, region.shape, &mut warnings)?;
+        drop_open_ends(&mut slices, has_rv, region.shape, &mut warnings)?;
         if slices.iter().filter(|slice| slice.cavity.is_some()).count() < 2 {
-            return Err(unusable(format!(
-                "fewer than two slices hold a cavity (label {}) within a closed wall (label {})",
-                codes.cavity, codes.wall
-            )));
+            let (cavity, wall) = (codes.cavity_lv, codes.wall_lv);
+            return unusable(format!("fewer than two slices hold a cavity (label {cavity}) within a closed wall (label {wall})"));
         }
+        if let Some(code) = codes.cavity_rv
+            && slices.iter().filter(|slice| slice.cavity_rv.is_some()).count() < 2
+        {
+            return unusable(format!("fewer than two slices with a closed left ventricle hold a right cavity (label {code})"));
+        }
+        let rv_is_open = has_rv && opening_of_rv(&slices, region.shape, &mut warnings);
         report_gaps(&slices, &mut warnings);
         let spacing_mm = labels.grid().spacing_mm().xy();
-        Ok(Self { slices, shape: region.shape, first_pixel: region.first_pixel, spacing_mm, warnings })
+        Ok(Self { slices, shape: region.shape, first_pixel: region.first_pixel, spacing_mm, rv_is_open, warnings })
     }
 }
 
@@ -66,16 +83,16 @@ struct Region {
 }
 
 impl Region {
-    fn around(labels: &LabelMap, codes: &VentricleCodes, options: &FieldOptions, warnings: &mut Vec<String>) -> Result<Self, ImageError> {
+    fn around(labels: &LabelMap, codes: &HeartCodes, options: &FieldOptions, warnings: &mut Vec<String>) -> Result<Self, ImageError> {
         let shape = labels.grid().shape();
         let slices = options.slices.clone().unwrap_or(0..shape[2]);
         let slices = slices.start..slices.end.min(shape[2]);
+        let all = codes.all();
         let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
         for index in slices.clone() {
             for flat in 0..shape[0] * shape[1] {
                 let at = [flat % shape[0], flat / shape[0]];
-                let label = labels.at([at[0], at[1], index]);
-                if label != 0 && (label == codes.cavity || label == codes.wall) {
+                if all.contains(&labels.at([at[0], at[1], index])) {
                     for axis in 0..2 {
                         low[axis] = low[axis].min(at[axis]);
                         high[axis] = high[axis].max(at[axis]);
@@ -84,47 +101,83 @@ impl Region {
             }
         }
         if low[0] == usize::MAX {
-            let reason = format!("no voxel of slices {slices:?} has the label {} (cavity) or {} (wall)", codes.cavity, codes.wall);
+            let (cavity, wall) = (codes.cavity_lv, codes.wall_lv);
+            let reason = format!("no voxel of slices {slices:?} has the label {cavity} (cavity) or {wall} (wall)");
             return Err(ImageError::UnusableMask { reason });
         }
         if (0..2).any(|axis| low[axis] == 0 || high[axis] + 1 == shape[axis]) {
-            warnings.push("the labels touch the border of the image: the ventricle may be cut off".into());
+            warnings.push("the labels touch the border of the image: the heart may be cut off".into());
         }
         let spacing_mm = labels.grid().spacing_mm();
-        let margin = |axis: usize| (options.margin_mm / spacing_mm[axis]).ceil() as isize + REGION_RESERVE_PIXELS;
+        let margin = |axis: usize| (options.reach_mm(codes) / spacing_mm[axis]).ceil() as isize + REGION_RESERVE_PIXELS;
         let first_pixel = [0, 1].map(|axis| low[axis] as isize - margin(axis));
         let shape = [0, 1].map(|axis| (high[axis] - low[axis] + 1) + 2 * margin(axis) as usize);
         Ok(Self { slices, shape, first_pixel })
     }
 
-    fn mask(&self, labels: &LabelMap, index: usize, codes: &[u8]) -> Vec<bool> {
+    fn mask(&self, labels: &LabelMap, index: usize, is_counted: impl Fn(u8) -> bool) -> Vec<bool> {
         let whole = labels.grid().shape();
         let is_coded = |flat: usize| {
             let i = self.first_pixel[0] + (flat % self.shape[0]) as isize;
             let j = self.first_pixel[1] + (flat / self.shape[0]) as isize;
             let within = i >= 0 && j >= 0 && (i as usize) < whole[0] && (j as usize) < whole[1];
-            within && codes.contains(&labels.at([i as usize, j as usize, index]))
+            within && is_counted(labels.at([i as usize, j as usize, index]))
         };
         (0..self.shape[0] * self.shape[1]).map(is_coded).collect()
     }
 }
 
-/// Keeps the largest connected parts and fills their holes; `None` for an empty slice.
-fn clean_slice(
+/// The pixels of one slice as they are labelled.
+struct RawSlice {
     index: usize,
     cavity: Vec<bool>,
-    outline: Vec<bool>,
-    shape: [usize; 2],
-    warnings: &mut Vec<String>,
-) -> Option<LabelledSlice> {
-    let outline_part = largest_part(&outline, shape)?;
-    let lost = count(&outline) - count(&outline_part);
+    cavity_rv: Vec<bool>,
+    wall: Vec<bool>,
+}
+
+impl RawSlice {
+    fn of(region: &Region, labels: &LabelMap, index: usize, codes: &HeartCodes) -> Self {
+        Self {
+            index,
+            cavity: region.mask(labels, index, |code| code == codes.cavity_lv),
+            cavity_rv: region.mask(labels, index, |code| Some(code) == codes.cavity_rv),
+            wall: region.mask(labels, index, |code| codes.walls().contains(&code)),
+        }
+    }
+}
+
+/// Keeps the largest connected parts and fills their holes; `None` for a slice without a left ventricle.
+fn clean_slice(raw: &RawSlice, shape: [usize; 2], warnings: &mut Vec<String>) -> Option<LabelledSlice> {
+    let index = raw.index;
+    let Some(left) = largest_part(&either(&raw.cavity, &raw.wall), shape) else {
+        if raw.cavity_rv.contains(&true) {
+            warnings.push(format!("slice {index}: a right ventricle without a left one; the slice was left out"));
+        }
+        return None;
+    };
+    let cavity = largest_part(&both(&raw.cavity, &left), shape).map(|part| filled(&part, shape));
+    let right = largest_part(&raw.cavity_rv, shape);
+    let outline = match &right {
+        Some(right) => either(&left, &joined_to(right, &either(&raw.cavity_rv, &raw.wall), shape)),
+        None => left,
+    };
+    let labelled = either(&either(&raw.cavity, &raw.cavity_rv), &raw.wall);
+    let lost = count(&labelled) - count(&both(&labelled, &outline));
     if lost > 0 {
         warnings.push(format!("slice {index}: {lost} labelled pixels apart from the ventricle were left out"));
     }
-    let kept_cavity: Vec<bool> = cavity.iter().zip(&outline_part).map(|(&a, &b)| a && b).collect();
-    let cavity = largest_part(&kept_cavity, shape).map(|part| filled(&part, shape));
-    Some(LabelledSlice { index, cavity, outline: filled(&outline_part, shape) })
+    let is_left = |flat: usize| raw.wall[flat] || cavity.as_ref().is_some_and(|cavity| cavity[flat]);
+    let cavity_rv =
+        right.map(|right| filled(&right, shape).into_iter().enumerate().map(|(flat, inside)| inside && !is_left(flat)).collect());
+    Some(LabelledSlice { index, cavity_rv, outline: filled(&outline, shape), cavity })
+}
+
+fn either(a: &[bool], b: &[bool]) -> Vec<bool> {
+    a.iter().zip(b).map(|(&a, &b)| a || b).collect()
+}
+
+fn both(a: &[bool], b: &[bool]) -> Vec<bool> {
+    a.iter().zip(b).map(|(&a, &b)| a && b).collect()
 }
 
 fn order_from_apex(slices: &mut [LabelledSlice], apex: ApexEnd, warnings: &mut Vec<String>) {
@@ -149,15 +202,18 @@ fn order_from_apex(slices: &mut [LabelledSlice], apex: ApexEnd, warnings: &mut V
     }
 }
 
-/// Drops slices with an open or missing wall from both ends, and wall without cavity from the basal end.
-fn drop_open_ends(slices: &mut Vec<LabelledSlice>, shape: [usize; 2], warnings: &mut Vec<String>) -> Result<(), ImageError> {
+/// Drops slices with an open or missing wall from both ends, and from the basal end also those that do not show every cavity.
+fn drop_open_ends(slices: &mut Vec<LabelledSlice>, has_rv: bool, shape: [usize; 2], warnings: &mut Vec<String>) -> Result<(), ImageError> {
     let defect = |slice: &LabelledSlice| {
-        let open = slice.cavity.as_ref().map_or(0.0, |cavity| open_fraction(cavity, &slice.outline, shape));
+        let open = slice.cavity.as_ref().map_or(0.0, |cavity| open_fraction(&open_edges(cavity, &slice.outline, shape)));
         (open > OPEN_FRACTION_MAX).then(|| format!("slice {}: the wall is open along {:.0} % of the cavity", slice.index, 100.0 * open))
     };
     while let Some(last) = slices.last() {
-        let reason =
-            if last.cavity.is_none() { Some(format!("slice {}: wall without a cavity at the base", last.index)) } else { defect(last) };
+        let reason = match (&last.cavity, &last.cavity_rv) {
+            (None, _) => Some(format!("slice {}: wall without a cavity at the base", last.index)),
+            (_, None) if has_rv => Some(format!("slice {}: no right cavity at the base", last.index)),
+            _ => defect(last),
+        };
         let Some(reason) = reason else { break };
         warnings.push(format!("{reason}; the slice was left out"));
         slices.pop();
@@ -167,13 +223,32 @@ fn drop_open_ends(slices: &mut Vec<LabelledSlice>, shape: [usize; 2], warnings: 
         slices.remove(0);
     }
     let cavity_begins = slices.iter().position(|slice| slice.cavity.is_some()).unwrap_or(slices.len());
-    for slice in &slices[cavity_begins..] {
-        let missing = slice.cavity.is_none().then(|| format!("slice {}: the cavity is missing between slices that have one", slice.index));
+    let rv_begins = slices.iter().position(|slice| slice.cavity_rv.is_some()).unwrap_or(slices.len());
+    for (place, slice) in slices.iter().enumerate().skip(cavity_begins) {
+        let gap = |name: &str| Some(format!("slice {}: the {name}cavity is missing between slices that have one", slice.index));
+        let missing = match (&slice.cavity, &slice.cavity_rv) {
+            (None, _) => gap(""),
+            (_, None) if place > rv_begins => gap("right "),
+            _ => None,
+        };
         if let Some(reason) = missing.or_else(|| defect(slice)) {
             return Err(ImageError::UnusableMask { reason: format!("{reason}; correct the labels or choose the slices") });
         }
     }
     Ok(())
+}
+
+/// Whether the right cavity has no labelled wall: over all slices, it touches the background along more than a tenth of its outline.
+fn opening_of_rv(slices: &[LabelledSlice], shape: [usize; 2], warnings: &mut Vec<String>) -> bool {
+    let edges: Vec<[usize; 2]> =
+        slices.iter().filter_map(|slice| slice.cavity_rv.as_ref().map(|cavity| open_edges(cavity, &slice.outline, shape))).collect();
+    let total = edges.iter().fold([0, 0], |[all, open], edges| [all + edges[0], open + edges[1]]);
+    let is_open = open_fraction(&total) > OPEN_FRACTION_MAX;
+    let walled = edges.iter().filter(|edges| open_fraction(edges) <= OPEN_FRACTION_MAX).count();
+    if is_open && walled > 0 {
+        warnings.push(format!("the right ventricle has a labelled wall in {walled} of {} slices only: it is grown in all", edges.len()));
+    }
+    is_open
 }
 
 fn report_gaps(slices: &[LabelledSlice], warnings: &mut Vec<String>) {
@@ -241,8 +316,19 @@ fn filled(mask: &[bool], shape: [usize; 2]) -> Vec<bool> {
     outside.into_iter().map(|outside| !outside).collect()
 }
 
-/// The part of the cavity's pixel edges that touches neither cavity nor wall.
-fn open_fraction(cavity: &[bool], outline: &[bool], shape: [usize; 2]) -> f64 {
+/// The pixels of `within` that are joined to `seeds`.
+fn joined_to(seeds: &[bool], within: &[bool], shape: [usize; 2]) -> Vec<bool> {
+    let mut seen = vec![false; within.len()];
+    for seed in (0..seeds.len()).filter(|&flat| seeds[flat]) {
+        if !seen[seed] {
+            flood(seed, |flat| within[flat], shape, &mut seen);
+        }
+    }
+    seen
+}
+
+/// The pixel edges of a cavity's outline, and those of them that touch neither cavity nor wall.
+fn open_edges(cavity: &[bool], outline: &[bool], shape: [usize; 2]) -> [usize; 2] {
     let (mut edges, mut open) = (0_usize, 0_usize);
     for flat in (0..cavity.len()).filter(|&flat| cavity[flat]) {
         for neighbour in neighbours(flat, shape).filter(|&n| !cavity[n]) {
@@ -250,5 +336,9 @@ fn open_fraction(cavity: &[bool], outline: &[bool], shape: [usize; 2]) -> f64 {
             open += usize::from(!outline[neighbour]);
         }
     }
+    [edges, open]
+}
+
+fn open_fraction(&[edges, open]: &[usize; 2]) -> f64 {
     open as f64 / edges.max(1) as f64
 }

@@ -1,10 +1,11 @@
 //! Ellipsoids cut into thick oblique slices, whose volumes and surfaces are known.
 
-use nalgebra::Rotation3;
+use nalgebra::{Matrix4, Rotation3};
 
 use super::*;
+use crate::image::Grid;
 
-const CODES: VentricleCodes = VentricleCodes { cavity: 1, wall: 2 };
+const CODES: HeartCodes = HeartCodes { cavity_lv: 1, wall_lv: 2, cavity_rv: None, wall_rv: None };
 
 /// A truncated ellipsoidal ventricle on slices: semi-axes of cavity and epicardium in mm (short, long), centre on the base plane.
 struct Ellipsoids {
@@ -44,7 +45,7 @@ fn oblique() -> Matrix4<f64> {
 }
 
 fn message(labels: &LabelMap) -> String {
-    ventricle_fields(labels, &CODES, &FieldOptions::default()).unwrap_err().to_string()
+    heart_fields(labels, &CODES, &FieldOptions::default()).unwrap_err().to_string()
 }
 
 /// The volume of the mesher's input is that of the labels (2 % was asked for), and the surface stays within half a voxel of the truth
@@ -54,14 +55,14 @@ fn thick_oblique_slices_give_back_volume_and_surface_of_an_ellipsoid() {
     for (in_plane_mm, gap_mm, volume_tolerance, surface_mm) in [([1.4, 1.4], 10.0, 0.02, 1.2), ([1.2, 1.3], 5.0, 0.01, 0.65)] {
         let map = oblique();
         let labels = label_map(&HEART, in_plane_mm, gap_mm, &map);
-        let fields = ventricle_fields(&labels, &CODES, &FieldOptions::default()).unwrap();
+        let fields = heart_fields(&labels, &CODES, &FieldOptions::default()).unwrap();
         let report = &fields.report;
         assert_eq!(report.basal_slice, 0);
-        assert!((report.cavity_ml / report.labelled_cavity_ml - 1.0).abs() < volume_tolerance, "{report:?}");
+        assert!((report.cavity_lv_ml / report.labelled_cavity_lv_ml - 1.0).abs() < volume_tolerance, "{report:?}");
         assert!((report.wall_ml / report.labelled_wall_ml - 1.0).abs() < volume_tolerance, "{report:?}");
         let exact_ml = |[short, long]: [f64; 2]| 2.0 / 3.0 * std::f64::consts::PI * short * short * long / 1000.0;
-        assert!((report.cavity_ml / exact_ml(HEART.cavity_mm) - 1.0).abs() < 0.02, "{report:?}");
-        for (field, semi_axes_mm) in [(&fields.cavity, HEART.cavity_mm), (&fields.epicardium, HEART.epicardium_mm)] {
+        assert!((report.cavity_lv_ml / exact_ml(HEART.cavity_mm) - 1.0).abs() < 0.02, "{report:?}");
+        for (field, semi_axes_mm) in [(&fields.cavity_lv, HEART.cavity_mm), (&fields.epicardium, HEART.epicardium_mm)] {
             for height in 1..=7 {
                 for turn in 0..12 {
                     let z = -0.1 * f64::from(height) * semi_axes_mm[1];
@@ -83,8 +84,8 @@ fn thick_oblique_slices_give_back_volume_and_surface_of_an_ellipsoid() {
 #[test]
 fn fields_are_distances_close_at_the_apex_and_are_positive_on_the_border() {
     let labels = label_map(&HEART, [1.4, 1.4], 8.0, &oblique());
-    let fields = ventricle_fields(&labels, &CODES, &FieldOptions::default()).unwrap();
-    for field in [&fields.cavity, &fields.epicardium] {
+    let fields = heart_fields(&labels, &CODES, &FieldOptions::default()).unwrap();
+    for field in [&fields.cavity_lv, &fields.epicardium] {
         let grid = field.grid();
         let [ni, nj, nk] = grid.shape();
         let mut steep = 0;
@@ -110,9 +111,8 @@ fn fields_are_distances_close_at_the_apex_and_are_positive_on_the_border() {
 fn base_at_mid_slice_removes_half_a_slice() {
     let labels = label_map(&HEART, [1.4, 1.4], 8.0, &oblique());
     let options = FieldOptions { base: BaseCut::MidSlice, ..FieldOptions::default() };
-    let (whole, cut) =
-        (ventricle_fields(&labels, &CODES, &FieldOptions::default()).unwrap(), ventricle_fields(&labels, &CODES, &options).unwrap());
-    let removed_ml = whole.report.cavity_ml - cut.report.cavity_ml;
+    let (whole, cut) = (heart_fields(&labels, &CODES, &FieldOptions::default()).unwrap(), heart_fields(&labels, &CODES, &options).unwrap());
+    let removed_ml = whole.report.cavity_lv_ml - cut.report.cavity_lv_ml;
     let slab_ml = 4.0 * std::f64::consts::PI * HEART.cavity_mm[0].powi(2) / 1000.0;
     assert!((removed_ml / slab_ml - 1.0).abs() < 0.03, "{removed_ml} {slab_ml}");
 }
@@ -120,10 +120,10 @@ fn base_at_mid_slice_removes_half_a_slice() {
 #[test]
 fn apex_is_found_at_either_end_and_can_be_told() {
     let labels = label_map(&HEART, [1.4, 1.4], 8.0, &Matrix4::identity());
-    let detected = ventricle_fields(&labels, &CODES, &FieldOptions::default()).unwrap();
+    let detected = heart_fields(&labels, &CODES, &FieldOptions::default()).unwrap();
     assert!(detected.long_axis.z > 0.99);
     let options = FieldOptions { apex: ApexEnd::FirstSlice, ..FieldOptions::default() };
-    let told = ventricle_fields(&labels, &CODES, &options).unwrap();
+    let told = heart_fields(&labels, &CODES, &options).unwrap();
     assert!(told.long_axis.z < -0.99);
     assert!(!told.warnings.is_empty(), "an apex as wide as a base is closed by force and reported");
 }
@@ -138,7 +138,7 @@ fn edited(labels: &LabelMap, edit: impl Fn([usize; 3], u8) -> u8) -> LabelMap {
 fn open_walls_at_the_base_are_left_out_and_in_the_middle_refused() {
     let labels = label_map(&HEART, [1.4, 1.4], 8.0, &oblique());
     let open_in = |slice: usize| edited(&labels, |[i, _, k], label| if k == slice && label == 2 && i > 30 { 0 } else { label });
-    let fields = ventricle_fields(&open_in(0), &CODES, &FieldOptions::default()).unwrap();
+    let fields = heart_fields(&open_in(0), &CODES, &FieldOptions::default()).unwrap();
     assert_eq!(fields.report.basal_slice, 1);
     assert!(fields.warnings.iter().any(|w| w.contains("slice 0") && w.contains("left out")), "{:?}", fields.warnings);
     assert!(message(&open_in(3)).contains("slice 3"));
@@ -152,10 +152,10 @@ fn unusable_labels_are_refused_with_their_reason() {
     assert!(message(&edited(&labels, |_, label| 2 * u8::from(label > 0))).contains("fewer than two slices"));
     assert!(message(&edited(&labels, |[_, _, k], label| if k == 4 { label } else { 0 })).contains("fewer than two slices"));
     assert!(message(&edited(&labels, |[_, _, k], label| if k == 4 && label == 1 { 2 } else { label })).contains("slice 4"));
-    let same = VentricleCodes { cavity: 1, wall: 1 };
-    assert!(ventricle_fields(&labels, &same, &FieldOptions::default()).is_err());
+    let same = HeartCodes::left(1, 1);
+    assert!(heart_fields(&labels, &same, &FieldOptions::default()).is_err());
     let coarse = FieldOptions { spacing_mm: Some(f64::NAN), ..FieldOptions::default() };
-    assert!(ventricle_fields(&labels, &CODES, &coarse).is_err());
+    assert!(heart_fields(&labels, &CODES, &coarse).is_err());
 }
 
 #[test]
@@ -167,8 +167,8 @@ fn specks_and_holes_are_cleaned() {
         _ => label,
     });
     let (clean, cleaned) = (
-        ventricle_fields(&labels, &CODES, &FieldOptions::default()).unwrap(),
-        ventricle_fields(&speckled, &CODES, &FieldOptions::default()).unwrap(),
+        heart_fields(&labels, &CODES, &FieldOptions::default()).unwrap(),
+        heart_fields(&speckled, &CODES, &FieldOptions::default()).unwrap(),
     );
     assert_eq!(clean.report, cleaned.report);
     assert!(cleaned.warnings.iter().any(|w| w.contains("slice 4")));

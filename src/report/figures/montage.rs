@@ -41,7 +41,7 @@ pub struct Montage {
     pub title: String,
     /// Names of the surfaces.
     pub surfaces: Vec<String>,
-    /// Heading of each column, such as `120 ms`.
+    /// Heading of each column, such as `120 ms`; may all be empty.
     pub column_titles: Vec<String>,
     /// Heading of each row, such as `slice 4`.
     pub row_titles: Vec<String>,
@@ -67,7 +67,9 @@ pub fn slice_montage(file: &Path, figure: &Montage) -> Result<(), ReportError> {
     check(figure).map_err(|reason| ReportError::Figure { figure: NAME, reason })?;
     let aspect = |panel: &MontagePanel| panel.rows as f64 * panel.spacing_mm[1] / (panel.columns as f64 * panel.spacing_mm[0]);
     let tallest = figure.panels.iter().map(aspect).fold(0.2, f64::max).min(3.0);
-    let layout = Layout { top: if figure.surfaces.is_empty() { 108 } else { 148 }, panel: (SIZE, (f64::from(SIZE) * tallest) as u32) };
+    let titles = if figure.column_titles.iter().all(String::is_empty) { 0 } else { 40 };
+    let legend = if figure.surfaces.is_empty() { 0 } else { 40 };
+    let layout = Layout { top: 68 + legend + titles, panel: (SIZE, (f64::from(SIZE) * tallest) as u32) };
     let (columns, rows) = (figure.column_titles.len() as u32, figure.row_titles.len() as u32);
     // The head stays whole even over one narrow column.
     let width = (LEFT + columns * (layout.panel.0 + GAP) + GAP).max(760);

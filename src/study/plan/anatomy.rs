@@ -1,11 +1,8 @@
-//! `[anatomy]`: the heart at rest, from a label map of a patient, a mesh made elsewhere or an idealised shape, \[Billet2009\] §3.
-
-use std::ops::Range;
-use std::path::PathBuf;
+//! `[anatomy]`: the heart at rest, from labels or masks of a patient, a mesh made elsewhere or an idealised shape, \[Billet2009\] §3.
 
 use nalgebra::Vector3;
 
-use super::images::slice_range;
+use super::labels::{self, LabelsPlan};
 use super::mesh_file::{self, MeshPlan};
 use crate::anatomy::IdealisedBiventricle;
 use crate::study::reader::TableReader;
@@ -30,17 +27,8 @@ pub struct AnatomyPlan {
 /// Where the shape comes from.
 #[derive(Debug, Clone, PartialEq)]
 pub enum AnatomySource {
-    /// A label map drawn on one frame of the cine.
-    Labels {
-        /// `labels`: the label map, NIfTI; of a 4-D one the map of `frame`.
-        path: PathBuf,
-        /// Its codes.
-        codes: LabelCodes,
-        /// `frame`: the frame of the cine that it was drawn on, from 0; simulations start at that frame's time.
-        frame: usize,
-        /// `label_slices`: the slices whose labels count, all where absent.
-        slices: Option<Range<usize>>,
-    },
+    /// Labels or masks drawn on one frame of the cine.
+    Labels(LabelsPlan),
     /// A truncated ellipsoid.
     IdealisedLv(IdealisedLv),
     /// Two ventricles between ellipsoids.
@@ -59,15 +47,6 @@ impl AnatomySource {
     pub fn is_idealised(&self) -> bool {
         matches!(self, Self::IdealisedLv(_) | Self::IdealisedBiventricle { .. })
     }
-}
-
-/// What the numbers of a label map mean.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct LabelCodes {
-    /// `code_cavity_lv`: blood of the left ventricle.
-    pub cavity_lv: u16,
-    /// `code_wall_lv`: wall of the left ventricle.
-    pub wall_lv: u16,
 }
 
 /// `[anatomy.idealised_lv]`: the wall between two truncated ellipsoids of revolution with one centre; lengths are semi-axes.
@@ -100,6 +79,7 @@ pub(super) fn read(table: TableReader) -> AnatomyPlan {
     let (lv, biventricle) = (table.table("idealised_lv"), table.table("idealised_biventricle"));
     let written = [
         ("labels", table.has("labels")),
+        ("mask_epicardium", table.has("mask_epicardium")),
         ("mesh", table.has("mesh")),
         ("mesh_tables", table.has("mesh_tables")),
         ("idealised_lv", lv.is_written()),
@@ -110,7 +90,7 @@ pub(super) fn read(table: TableReader) -> AnatomyPlan {
     match (first, sources.next()) {
         (None, _) => table.missing(
             "labels",
-            "labels = \"…\" (a label map), mesh = \"…\", [anatomy.mesh_tables], [anatomy.idealised_lv] or [anatomy.idealised_biventricle]",
+            "labels = \"…\" (a label map), mask_epicardium = \"…\" and mask_endocardium_lv = \"…\", mesh = \"…\", [anatomy.mesh_tables], [anatomy.idealised_lv] or [anatomy.idealised_biventricle]",
         ),
         (Some(one), Some(other)) => {
             table.problem(one, format!("stands beside {other}"), "the heart has one shape: take one of the two away")
@@ -118,12 +98,18 @@ pub(super) fn read(table: TableReader) -> AnatomyPlan {
         _ => {}
     }
     let (lv, (shape, reference_time_s), mesh) = (read_idealised(lv), read_biventricle(biventricle), mesh_file::read(&table));
+    let drawn = labels::read(&table);
     let source = match (first, mesh) {
         (Some("idealised_lv"), _) => AnatomySource::IdealisedLv(lv),
         (Some("idealised_biventricle"), _) => AnatomySource::IdealisedBiventricle { shape, reference_time_s },
         (Some("mesh" | "mesh_tables"), Some(mesh)) => AnatomySource::Mesh(mesh),
-        _ => read_labels(&table),
+        _ => AnatomySource::Labels(drawn),
     };
+    if !matches!(source, AnatomySource::Labels(_)) {
+        for key in labels::LABEL_KEYS.into_iter().filter(|key| table.has(key)) {
+            table.problem(key, "is of no use without labels", "write labels = \"…\", or take it away");
+        }
+    }
     if matches!(source, AnatomySource::Mesh(_)) && table.has("edge_length_mm") {
         table.problem("edge_length_mm", "is of no use with a mesh", "take it away: the mesh has its edges");
     }
@@ -144,20 +130,6 @@ pub(super) fn read(table: TableReader) -> AnatomyPlan {
     };
     table.close();
     plan
-}
-
-fn read_labels(table: &TableReader) -> AnatomySource {
-    let code = |key, default| u16::try_from(table.count(key, 1..=i64::from(u8::MAX), default)).unwrap_or(u16::MAX);
-    let codes = LabelCodes { cavity_lv: code("code_cavity_lv", 1), wall_lv: code("code_wall_lv", 2) };
-    if codes.cavity_lv == codes.wall_lv {
-        table.problem("code_wall_lv", "equals code_cavity_lv", "give the wall and the cavity their own codes");
-    }
-    AnatomySource::Labels {
-        path: table.data_file("labels").unwrap_or_default(),
-        codes,
-        frame: table.count("frame", 0..=100_000, 0),
-        slices: slice_range(table, "label_slices"),
-    }
 }
 
 fn read_idealised(table: TableReader) -> IdealisedLv {

@@ -4,6 +4,7 @@ mod anatomy;
 mod beats;
 mod comparison;
 mod images;
+mod labels;
 mod mesh_file;
 mod model;
 mod output;
@@ -12,12 +13,13 @@ mod phantom;
 mod tracking;
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-pub use anatomy::{AnatomyPlan, AnatomySource, FibrePlan, IdealisedLv, LabelCodes};
+pub use anatomy::{AnatomyPlan, AnatomySource, FibrePlan, IdealisedLv};
 pub use beats::{Beats, BeatsPlan};
 pub use comparison::ComparisonPlan;
 pub use images::{ImageSource, ImagesPlan, ReferenceLabels, VolumeSource};
+pub use labels::{LabelSource, LabelsPlan};
 pub use mesh_file::{LengthUnit, MeshPlan, MeshSource};
 pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite, SitePlan};
 pub use output::OutputPlan;
@@ -47,6 +49,8 @@ pub(super) use words;
 words! {
     /// What a study does.
     Kind {
+        /// The heart at rest alone: its mesh and its contours on the images.
+        Mesh = "mesh",
         /// The free heart: beats without data.
         Simulate = "simulate",
         /// The proactive heart follows images with fixed parameters, \[Billet2009\] §4–5.
@@ -108,7 +112,7 @@ impl Plan {
     pub fn input_files(&self) -> Vec<PathBuf> {
         let mut files = Vec::new();
         match &self.anatomy.source {
-            AnatomySource::Labels { path, .. } => files.push(path.clone()),
+            AnatomySource::Labels(drawn) => files.extend(drawn.source.files().into_iter().map(Path::to_path_buf)),
             AnatomySource::Mesh(mesh) => files.extend(mesh.source.files()),
             AnatomySource::IdealisedLv(_) | AnatomySource::IdealisedBiventricle { .. } => {}
         }
@@ -168,7 +172,7 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
         (Some(Kind::Personalise), None) => {
             root.missing("personalisation", "[personalisation] with a [[personalisation.parameter]] for each free parameter")
         }
-        (Some(Kind::Simulate | Kind::Track | Kind::CompareSchemes | Kind::CompareBases), Some(_)) => {
+        (Some(Kind::Mesh | Kind::Simulate | Kind::Track | Kind::CompareSchemes | Kind::CompareBases), Some(_)) => {
             root.problem("personalisation", "is of no use here", "write kind = \"personalise\", or take the table away")
         }
         _ => {}
@@ -199,7 +203,7 @@ fn images_of(
     phantom: Option<PhantomPlan>,
 ) -> Option<ImageSource> {
     let is_lv = matches!(anatomy.source, AnatomySource::IdealisedLv(_));
-    let has_labels = matches!(anatomy.source, AnatomySource::Labels { .. });
+    let has_labels = matches!(anatomy.source, AnatomySource::Labels(_));
     match (cine, phantom) {
         (Some(_), Some(_)) => {
             root.problem("phantom", "stands beside [images]", "images are either read ([images]) or made ([phantom]): take one away");

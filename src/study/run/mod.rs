@@ -10,12 +10,15 @@ mod error;
 mod forward;
 mod leave;
 mod mesh_file;
+mod mesh_only;
+mod mesh_overlays;
 mod montages;
 mod patient;
 mod personalise;
 mod pictures;
 mod recorded_base;
 mod simulate;
+mod slice_panels;
 mod start;
 mod synthetic;
 mod track;
@@ -23,6 +26,7 @@ mod track_only;
 mod wall;
 
 pub use error::RunError;
+pub use mesh_only::{MeshReport, PartVolume, SurfaceAgreement, mesh_heart};
 
 use super::plan::Kind;
 use super::{Outcome, Plan, RunContext};
@@ -35,6 +39,7 @@ use crate::report::create_folder;
 pub fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
     create_folder(&plan.output.directory)?;
     match plan.kind {
+        Kind::Mesh => mesh_only::run(plan, context),
         Kind::Simulate => simulate::run(plan, context),
         Kind::Track => track_only::run(plan, context),
         Kind::CompareBases => compare_bases::run(plan, context),

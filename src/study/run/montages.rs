@@ -5,10 +5,11 @@ use nalgebra::{Matrix4, Vector3};
 use super::clock::Clock;
 use super::error::RunError;
 use super::patient::{Patient, PatientImages};
+use super::slice_panels::{Line, in_slice, panel, section, window_around};
 use crate::heart::Trajectory;
 use crate::image::{CineSequence, Grid, Volume};
 use crate::mesh::SurfaceTag;
-use crate::report::figures::{Contour, Montage, MontagePanel, slice_montage};
+use crate::report::figures::{Contour, Montage, slice_montage};
 use crate::study::Plan;
 use crate::tracking;
 use crate::units::MS_PER_S;
@@ -109,15 +110,15 @@ fn montage(
     let mut panels = Vec::with_capacity(rows.len() * times.len());
     let mut surfaces: Vec<String> = motions.iter().map(|motion| motion.name.to_owned()).collect();
     for Row { view, slice, .. } in rows {
-        let window = window_around(patient, view);
+        let window = window_around(&patient.anatomy, view.grid());
         for &place in &times {
             let mut panel = panel(view, nearest_frame(view, clock.times_s[place]), *slice, window);
             for (surface, motion) in motions.iter().enumerate() {
                 let Some(state) = motion.trajectory.frames.get(place) else { continue };
                 for tag in tags {
                     let triangles: Vec<_> = patient.anatomy.surface.triangles_with(tag).collect();
-                    let cut = tracking::Contour::of_surface(&triangles, &state.position_mm, view.grid(), *slice);
-                    panel.contours.extend(cut.segments_mm().iter().map(|ends| Contour { surface, points_mm: in_slice(view, ends) }));
+                    let lines = section(&triangles, &state.position_mm, view.grid(), *slice);
+                    panel.contours.extend(lines.into_iter().map(|points_mm| Contour { surface, points_mm }));
                 }
             }
             let labelled = label_contours(images, view, *slice, clock.frames[place]);
@@ -140,7 +141,7 @@ fn montage(
 }
 
 /// The outline of the labelled cavity in a slice of the short axis, where labels of the frame judge the result.
-fn label_contours(images: &PatientImages, view: &CineSequence, slice: usize, frame: usize) -> Vec<Vec<[f64; 2]>> {
+fn label_contours(images: &PatientImages, view: &CineSequence, slice: usize, frame: usize) -> Vec<Line> {
     let of_frame = |(labelled, labels, code): &(usize, crate::image::LabelMap, u8)| {
         let on_view = labels.grid().to_voxel(&view.grid().to_world_mm(&Vector3::new(0.0, 0.0, slice as f64))).z;
         let plane = on_view.round();
@@ -148,7 +149,7 @@ fn label_contours(images: &PatientImages, view: &CineSequence, slice: usize, fra
         let is_shown = *labelled == frame && plane >= 0.0 && apart_mm <= view.grid().spacing_mm().z;
         let is_shown = is_shown && std::ptr::eq(view, &images.cine) && (plane as usize) < labels.grid().shape()[2];
         let contour = is_shown.then(|| tracking::Contour::of_label(labels, *code, plane as usize))?;
-        Some(contour.segments_mm().iter().map(|ends| in_slice(view, ends)).collect::<Vec<_>>())
+        Some(contour.segments_mm().iter().map(|ends| in_slice(view.grid(), ends)).collect::<Vec<_>>())
     };
     images.validation.iter().filter_map(of_frame).flatten().collect()
 }
@@ -193,45 +194,4 @@ fn time_choice(clock: &Clock, images: &PatientImages, motions: &[NamedMotion], c
 fn nearest_frame(view: &CineSequence, time_s: f64) -> usize {
     let (earlier, later, weight) = view.frames_around(time_s);
     if weight < 0.5 { earlier } else { later }
-}
-
-/// The voxels shown: first and last along i and j.
-type Window = [[usize; 2]; 2];
-
-/// The heart with 20 mm around it.
-fn window_around(patient: &Patient, view: &CineSequence) -> Window {
-    const MARGIN_MM: f64 = 20.0;
-    let grid = view.grid();
-    let mut window = [[0; 2]; 2];
-    for (axis, bounds) in window.iter_mut().enumerate() {
-        let places = patient.anatomy.mesh.vertices_mm().iter().map(|v| grid.to_voxel(v)[axis]);
-        let (low, high) = places.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
-        let margin = MARGIN_MM / grid.spacing_mm()[axis];
-        let last = grid.shape()[axis].saturating_sub(1) as f64;
-        *bounds = [(low - margin).floor().clamp(0.0, last) as usize, (high + margin).ceil().clamp(0.0, last) as usize];
-    }
-    window
-}
-
-fn panel(cine: &CineSequence, frame: usize, k: usize, [[i0, i1], [j0, j1]]: Window) -> MontagePanel {
-    let spacing = cine.grid().spacing_mm();
-    let frame = &cine.frames()[frame];
-    let intensity = (j0..=j1).flat_map(|j| (i0..=i1).map(move |i| f64::from(frame.at([i, j, k])))).collect();
-    MontagePanel {
-        columns: i1 - i0 + 1,
-        rows: j1 - j0 + 1,
-        intensity,
-        origin_mm: [i0 as f64 * spacing.x, j0 as f64 * spacing.y],
-        spacing_mm: [spacing.x, spacing.y],
-        contours: Vec::new(),
-    }
-}
-
-fn in_slice(cine: &CineSequence, ends: &[Vector3<f64>]) -> Vec<[f64; 2]> {
-    let spacing = cine.grid().spacing_mm();
-    let at = |end| {
-        let voxel = cine.grid().to_voxel(end);
-        [voxel.x * spacing.x, voxel.y * spacing.y]
-    };
-    ends.iter().map(at).collect()
 }

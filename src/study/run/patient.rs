@@ -7,11 +7,12 @@ use super::error::RunError;
 use super::mesh_file::anatomy_of_file;
 use super::synthetic::{self, Truth};
 use crate::anatomy::mesher::MesherSettings;
-use crate::anatomy::{Anatomy, AnatomySettings, FibreRule, build_lv_from_fields};
+use crate::anatomy::{Anatomy, AnatomySettings, FibreRule, IdealisedBiventricle, build_from_fields};
 use crate::heart::{Parameter, Parameters};
-use crate::image::{CineReading, CineSequence, FieldOptions, LabelMap, PreprocessSettings, VentricleCodes, preprocess, ventricle_fields};
+use crate::image::{CineReading, CineSequence, FieldOptions, HeartCodes, LabelMap, PreprocessSettings, heart_fields, preprocess};
 use crate::study::RunContext;
-use crate::study::cine::{StudyCine, read_labels};
+use crate::study::cine::StudyCine;
+use crate::study::drawn_heart::DrawnHeart;
 use crate::study::plan::{AnatomyPlan, AnatomySource, IdealisedLv, ImageSource, ImagesPlan, Plan, ReferenceLabels};
 
 /// A heart at rest with its images.
@@ -49,38 +50,38 @@ impl Patient {
         let building = || context.progress().stage("building the anatomy", None);
         match (&plan.anatomy.source, &plan.images) {
             (AnatomySource::IdealisedLv(shape), Some(ImageSource::Phantom(phantom))) => synthetic::patient(plan, shape, phantom, context),
+            (AnatomySource::Labels(drawn), images) => {
+                context.progress().stage("reading images and labels", None);
+                let mut warnings = Vec::new();
+                let mut parameters = plan.parameters.clone();
+                let (heart, images) = match images {
+                    Some(ImageSource::Cine(images)) => {
+                        let period_s = plan.written.contains(&Parameter::HeartPeriod).then_some(parameters[Parameter::HeartPeriod]);
+                        let study = StudyCine::read(images, period_s)?;
+                        parameters.set(Parameter::HeartPeriod, study.cine.period_s())?;
+                        let heart = study.read_heart(drawn)?;
+                        (heart, Some(prepared_images(images, study, drawn.frame, &mut warnings)?))
+                    }
+                    _ => (DrawnHeart::read(drawn)?, None),
+                };
+                building();
+                let DrawnHeart { labels, codes, warnings: odd } = heart;
+                warnings.extend(odd);
+                let anatomy = anatomy_from_labels(&plan.anatomy, &labels, &codes, &drawn.field_options(), &mut warnings)?;
+                let (anatomy, frames_without_images) = (Arc::new(anatomy), plan.simulation.frames);
+                Ok(Self { anatomy, parameters, images, truth: None, reference_s: 0.0, frames_without_images, warnings })
+            }
             (AnatomySource::IdealisedLv(shape), _) => {
                 building();
                 Ok(Self::without_images(plan, idealised_anatomy(&plan.anatomy, shape)?, shape.reference_time_s))
             }
             (AnatomySource::IdealisedBiventricle { shape, reference_time_s }, _) => {
                 building();
-                let mesher = MesherSettings::with_edge_length_mm(plan.anatomy.edge_length_mm);
-                Ok(Self::without_images(plan, shape.build(&mesher, &anatomy_settings(&plan.anatomy))?, *reference_time_s))
+                Ok(Self::without_images(plan, biventricular_anatomy(&plan.anatomy, shape)?, *reference_time_s))
             }
             (AnatomySource::Mesh(mesh), _) => {
                 building();
                 Ok(Self::without_images(plan, anatomy_of_file(mesh, &anatomy_settings(&plan.anatomy))?, mesh.reference_time_s))
-            }
-            (AnatomySource::Labels { path, codes, frame, slices }, images) => {
-                context.progress().stage("reading images and labels", None);
-                let mut warnings = Vec::new();
-                let mut parameters = plan.parameters.clone();
-                let (labels, images) = match images {
-                    Some(ImageSource::Cine(images)) => {
-                        let period_s = plan.written.contains(&Parameter::HeartPeriod).then_some(parameters[Parameter::HeartPeriod]);
-                        let study = StudyCine::read(images, period_s)?;
-                        parameters.set(Parameter::HeartPeriod, study.cine.period_s())?;
-                        let labels = study.read_labels(path, *frame, slices.as_ref())?;
-                        (labels, Some(prepared_images(images, study, *frame, &mut warnings)?))
-                    }
-                    _ => (read_labels(path, *frame, slices.as_ref())?, None),
-                };
-                context.progress().stage("building the anatomy", None);
-                let codes = VentricleCodes { cavity: to_code(codes.cavity_lv), wall: to_code(codes.wall_lv) };
-                let anatomy = anatomy_from_labels(&plan.anatomy, &labels, &codes, &mut warnings)?;
-                let (anatomy, frames_without_images) = (Arc::new(anatomy), plan.simulation.frames);
-                Ok(Self { anatomy, parameters, images, truth: None, reference_s: 0.0, frames_without_images, warnings })
             }
         }
     }
@@ -174,15 +175,21 @@ pub(super) fn idealised_anatomy(plan: &AnatomyPlan, shape: &IdealisedLv) -> Resu
     Ok(ideal.build(&MesherSettings::with_edge_length_mm(plan.edge_length_mm), &anatomy_settings(plan))?)
 }
 
-/// The left ventricle that a label map shows.
+/// The idealised ventricles of a plan.
+pub(super) fn biventricular_anatomy(plan: &AnatomyPlan, shape: &IdealisedBiventricle) -> Result<Anatomy, RunError> {
+    Ok(shape.build(&MesherSettings::with_edge_length_mm(plan.edge_length_mm), &anatomy_settings(plan))?)
+}
+
+/// The heart that a label map shows.
 pub(super) fn anatomy_from_labels(
     plan: &AnatomyPlan,
     labels: &LabelMap,
-    codes: &VentricleCodes,
+    codes: &HeartCodes,
+    options: &FieldOptions,
     warnings: &mut Vec<String>,
 ) -> Result<Anatomy, RunError> {
-    let fields = ventricle_fields(labels, codes, &FieldOptions::default())?;
+    let fields = heart_fields(labels, codes, options)?;
     warnings.extend(fields.warnings.iter().cloned());
     let mesher = MesherSettings::with_edge_length_mm(plan.edge_length_mm);
-    Ok(build_lv_from_fields(&fields, &mesher, &anatomy_settings(plan))?)
+    Ok(build_from_fields(&fields, &mesher, &anatomy_settings(plan))?)
 }

@@ -10,7 +10,7 @@ use super::forward::{beat, frame_volumes_lv_ml, heart_model, step_count};
 use super::patient::{Patient, PatientImages, anatomy_from_labels, idealised_anatomy};
 use crate::anatomy::Anatomy;
 use crate::heart::{FrameState, Parameter, Parameters};
-use crate::image::{PreprocessSettings, VentricleCodes, preprocess};
+use crate::image::{FieldOptions, HeartCodes, PreprocessSettings, preprocess};
 use crate::mesh::TetMesh;
 use crate::phantom::{LABEL_CAVITY_LV, LABEL_WALL, ShortAxisStack, SyntheticCineSettings, synthetic_cine};
 use crate::study::RunContext;
@@ -55,10 +55,12 @@ pub(super) fn patient(plan: &Plan, shape: &IdealisedLv, phantom: &PhantomPlan, c
 
     let mut warnings = Vec::new();
     let reference_frame = phantom.reference_frame;
-    let codes = VentricleCodes { cavity: LABEL_CAVITY_LV, wall: LABEL_WALL };
+    let codes = HeartCodes::left(LABEL_CAVITY_LV, LABEL_WALL);
     let seen = match phantom.anatomy {
         ModelAnatomy::Truth => as_drawn(&anatomy, &trajectory.frames[reference_frame], phantom)?,
-        ModelAnatomy::Labels => anatomy_from_labels(&plan.anatomy, &imaged.labels[reference_frame], &codes, &mut warnings)?,
+        ModelAnatomy::Labels => {
+            anatomy_from_labels(&plan.anatomy, &imaged.labels[reference_frame], &codes, &FieldOptions::default(), &mut warnings)?
+        }
     };
     let end_systole = imaged.volumes_ml.iter().enumerate().min_by(|a, b| a.1[0].total_cmp(&b.1[0])).map_or(0, |(frame, _)| frame);
     let images = PatientImages {

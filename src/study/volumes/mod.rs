@@ -11,10 +11,11 @@ use serde::Serialize;
 
 use super::RunError;
 use super::cine::StudyCine;
-use super::plan::{AnatomySource, ImageSource, ImagesPlan, Plan, VolumeSource};
+use super::drawn_heart::DrawnHeart;
+use super::plan::{AnatomySource, ImageSource, ImagesPlan, LabelsPlan, Plan, VolumeSource};
 use crate::heart::Parameter;
 use crate::image::{
-    CavityContours, CineSequence, CineTiming, CurvePoint, ImageError, LabelMap, VolumeCurve, follow_cavity, read_label_maps, read_nifti,
+    CavityContours, CineSequence, CineTiming, CurvePoint, ImageError, VolumeCurve, follow_cavity, read_label_maps, read_nifti,
 };
 use crate::report::{create_folder, write_csv};
 use crate::units::MS_PER_S;
@@ -128,19 +129,18 @@ fn of_study(plan: &Plan) -> Result<Measured, RunError> {
     match (&images.volumes, &plan.anatomy.source) {
         (VolumeSource::Labels { path, code, slices }, _) => of_labels(path, *code, slices.clone(), times_s, period_s),
         (VolumeSource::Table(path), _) => of_table(path, period_s),
-        (VolumeSource::Images, AnatomySource::Labels { path, codes, frame, slices }) => {
-            let labels = study.read_labels(path, *frame, slices.as_ref())?;
-            of_images(images, study, &labels, codes.cavity_lv, *frame)
-        }
+        (VolumeSource::Images, AnatomySource::Labels(drawn)) => of_images(images, study, drawn),
         (VolumeSource::Images, _) => Err(RunError::NothingToFit),
     }
 }
 
-fn of_images(images: &ImagesPlan, study: StudyCine, labels: &LabelMap, code: u16, frame: usize) -> Result<Measured, RunError> {
-    let contours = follow_cavity(&study.cine, labels, u8::try_from(code).unwrap_or(u8::MAX), frame)?;
+fn of_images(images: &ImagesPlan, study: StudyCine, drawn: &LabelsPlan) -> Result<Measured, RunError> {
+    let DrawnHeart { labels, codes, warnings: odd } = study.read_heart(drawn)?;
+    let contours = follow_cavity(&study.cine, &labels, codes.cavity_lv, drawn.frame)?;
     let curve = VolumeCurve::new(study.cine.times_s().to_vec(), contours.volumes_ml(), study.cine.period_s())?;
     let moved = if images.correct_slice_shifts { ", slices moved into one breath-hold" } else { "" };
     let mut warnings = study.warnings;
+    warnings.extend(odd);
     let slices: Vec<usize> = contours.slices.iter().map(|slice| slice.slice).collect();
     if let [first, .., last] = slices.as_slice() {
         warnings
