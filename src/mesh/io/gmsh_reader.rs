@@ -1,39 +1,34 @@
-//! Reads Gmsh meshes (.msh), versions 2.2 and 4.1 in text; physical groups become the cell field `physical`, node and element data fields.
+//! Reads Gmsh meshes (.msh), versions 2.2 and 4.1, text and binary; physical groups become the cell field `physical`, node and element data
+//! fields.
 
 use std::collections::{BTreeMap, HashMap};
 
 use nalgebra::Vector3;
 
+use super::gmsh_numbers::{Encoding, Numbers, text_of};
 use super::mesh_file::{CellSorter, FieldArray, MeshFile};
 
 /// The content of a .msh file.
 pub(super) fn read_gmsh(bytes: &[u8]) -> Result<MeshFile, String> {
-    let header = String::from_utf8_lossy(&bytes[..bytes.len().min(200)]).into_owned();
-    let mut words = header.split_ascii_whitespace();
-    if words.next() != Some("$MeshFormat") {
-        return Err("it does not begin with $MeshFormat".into());
-    }
-    let (version, is_binary) = (words.next().unwrap_or(""), words.next() != Some("0"));
-    if is_binary {
-        return Err("it is a binary .msh; save it as text (ASCII) or as VTU".into());
-    }
-    let text = std::str::from_utf8(bytes).map_err(|_| "it holds bytes that are no text".to_string())?;
+    let (version, encoding) = read_format(bytes)?;
     let mut content = Content::default();
-    let mut rest = text;
-    while let Some(start) = rest.find('$') {
-        let (name, after) = rest[start + 1..].split_once('\n').ok_or("it ends within a section's name")?;
-        let name = name.trim();
+    let mut rest = bytes;
+    while let Some(start) = find(rest, b"$") {
+        let after = &rest[start + 1..];
+        let line_end = find(after, b"\n").ok_or("it ends within a section's name")?;
+        let (name, after) = (String::from_utf8_lossy(&after[..line_end]).trim().to_string(), &after[line_end + 1..]);
         let end_mark = format!("$End{name}");
-        let end = after.find(&end_mark).ok_or_else(|| format!("section ${name} does not end; is it truncated?"))?;
-        let mut numbers = Numbers { words: after[..end].split_ascii_whitespace(), section: name };
-        match (name, version.starts_with('4')) {
-            ("Nodes", true) => content.read_nodes_4(&mut numbers)?,
-            ("Nodes", false) => content.read_nodes_2(&mut numbers)?,
-            ("Elements", true) => content.read_elements_4(&mut numbers)?,
-            ("Elements", false) => content.read_elements_2(&mut numbers)?,
-            ("Entities", true) => content.read_entities(&mut numbers)?,
-            ("NodeData", _) => content.node_data.push(read_data(&after[..end], name)?),
-            ("ElementData", _) => content.element_data.push(read_data(&after[..end], name)?),
+        let end = find(after, end_mark.as_bytes()).ok_or_else(|| format!("section ${name} does not end; is it truncated?"))?;
+        let section = &after[..end];
+        let numbers = || Numbers::new(section, encoding, &name);
+        match (name.as_str(), version) {
+            ("Nodes", Version::Four) => content.read_nodes_4(&mut numbers()?)?,
+            ("Nodes", Version::Two) => content.read_nodes_2(&mut numbers()?)?,
+            ("Elements", Version::Four) => content.read_elements_4(&mut numbers()?)?,
+            ("Elements", Version::Two) => content.read_elements_2(&mut numbers()?)?,
+            ("Entities", Version::Four) => content.read_entities(&mut numbers()?)?,
+            ("NodeData", _) => content.node_data.push(read_data(section, encoding, &name)?),
+            ("ElementData", _) => content.element_data.push(read_data(section, encoding, &name)?),
             _ => {}
         }
         rest = &after[end + end_mark.len()..];
@@ -41,21 +36,35 @@ pub(super) fn read_gmsh(bytes: &[u8]) -> Result<MeshFile, String> {
     content.finish()
 }
 
-/// The words of a section as numbers.
-struct Numbers<'a> {
-    words: std::str::SplitAsciiWhitespace<'a>,
-    section: &'a str,
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Version {
+    Two,
+    Four,
 }
 
-impl Numbers<'_> {
-    fn next<T: std::str::FromStr>(&mut self) -> Result<T, String> {
-        let word = self.words.next().ok_or_else(|| format!("section ${} ends too early", self.section))?;
-        word.parse().map_err(|_| format!("section ${}: {word:?} is not a number of the kind needed", self.section))
+/// The first section: version, 0 for text or 1 for binary, and the bytes of a `size_t`; in binary files then the number one.
+fn read_format(bytes: &[u8]) -> Result<(Version, Encoding), String> {
+    let mut lines = bytes.splitn(3, |&byte| byte == b'\n');
+    if lines.next().map(<[u8]>::trim_ascii) != Some(b"$MeshFormat") {
+        return Err("it does not begin with $MeshFormat".into());
     }
+    let words: Vec<&str> = text_of(lines.next().unwrap_or_default(), "MeshFormat")?.split_ascii_whitespace().collect();
+    let version = match words.first() {
+        Some(&("2.2" | "2.1" | "2" | "2.0")) => Version::Two,
+        Some(&"4.1") => Version::Four,
+        other => return Err(format!("its version {} is not supported; save it as version 4.1 or 2.2", other.unwrap_or(&"is missing:"))),
+    };
+    let encoding = match (words.get(1), words.get(2), lines.next().unwrap_or_default()) {
+        (Some(&"0"), _, _) => Encoding::Text,
+        (Some(&"1"), Some(&"8"), [1, 0, 0, 0, ..]) => Encoding::Binary { is_big_endian: false },
+        (Some(&"1"), Some(&"8"), [0, 0, 0, 1, ..]) => Encoding::Binary { is_big_endian: true },
+        _ => return Err("it is a binary .msh of a kind that is not supported; save it as text (ASCII) or as VTU".into()),
+    };
+    Ok((version, encoding))
+}
 
-    fn skip(&mut self, count: usize) -> Result<(), String> {
-        (0..count).try_for_each(|_| self.next::<f64>().map(|_| ()))
-    }
+fn find(bytes: &[u8], mark: &[u8]) -> Option<usize> {
+    bytes.windows(mark.len()).position(|window| window == mark)
 }
 
 #[derive(Default)]
@@ -63,7 +72,7 @@ struct Content {
     points: Vec<Vector3<f64>>,
     point_of_node: HashMap<u64, usize>,
     /// First physical group of each entity, by dimension and number.
-    group_of_entity: HashMap<(usize, i64), i64>,
+    group_of_entity: HashMap<(u64, i64), i64>,
     elements: Vec<Element>,
     node_data: Vec<Data>,
     element_data: Vec<Data>,
@@ -71,7 +80,7 @@ struct Content {
 
 struct Element {
     number: u64,
-    kind: u32,
+    kind: u64,
     group: i64,
     nodes: Vec<u64>,
 }
@@ -96,40 +105,44 @@ impl Data {
     }
 }
 
-/// A section of node or element data: its words (the first is the name), real numbers (times), integers (step, components, rows), rows.
-fn read_data(section: &str, name: &str) -> Result<Data, String> {
-    let mut lines = section.trim_start().splitn(3, '\n');
-    if lines.next().map(str::trim) != Some("1") {
-        return Err(format!("section ${name} does not have one name"));
-    }
-    let field_name = lines.next().unwrap_or("").trim().trim_matches('"').to_string();
-    let mut numbers = Numbers { words: lines.next().unwrap_or("").split_ascii_whitespace(), section: name };
-    let real_count = numbers.next()?;
-    numbers.skip(real_count)?;
-    let integer_count: usize = numbers.next()?;
-    if integer_count < 3 {
+/// A section of node or element data: its words (the first is the name), real numbers (times), integers (step, components, rows), each on
+/// a line of text, then the rows.
+fn read_data(section: &[u8], encoding: Encoding, name: &str) -> Result<Data, String> {
+    let mut rest = section.trim_ascii_start();
+    let mut line = || -> Result<String, String> {
+        let end = find(rest, b"\n").ok_or_else(|| format!("section ${name} ends too early"))?;
+        let line = String::from_utf8_lossy(&rest[..end]).trim().trim_matches('"').to_string();
+        rest = &rest[end + 1..];
+        Ok(line)
+    };
+    let mut lines_counted = |what: &str| -> Result<Vec<String>, String> {
+        let count: usize = line()?.parse().map_err(|_| format!("section ${name} does not say how many {what} it has"))?;
+        (0..count).map(|_| line()).collect()
+    };
+    let (names, _, integers) = (lines_counted("names")?, lines_counted("times")?, lines_counted("integers")?);
+    let [field_name] = names.as_slice() else { return Err(format!("section ${name} does not have one name")) };
+    let integer = |place: usize| integers.get(place).and_then(|word| word.parse::<usize>().ok());
+    let (Some(components), Some(row_count)) = (integer(1), integer(2)) else {
         return Err(format!("section ${name} does not say how many components and rows it has"));
-    }
-    numbers.skip(1)?;
-    let (components, row_count): (usize, u64) = (numbers.next()?, numbers.next()?);
-    numbers.skip(integer_count - 3)?;
+    };
     if !(1..=9).contains(&components) {
         return Err(format!("section ${name} has {components} components"));
     }
+    let mut numbers = Numbers::new(rest, encoding, name)?;
     let mut rows = vec![];
     for _ in 0..row_count {
-        let number = numbers.next()?;
+        let number = numbers.count()?;
         let mut row = vec![];
         for _ in 0..components {
-            row.push(numbers.next()?);
+            row.push(numbers.real()?);
         }
         rows.push((number, row));
     }
-    Ok(Data { name: field_name, components, rows })
+    Ok(Data { name: field_name.clone(), components, rows })
 }
 
 /// Nodes of Gmsh's element types that may occur, and their VTK type.
-fn element_kind(kind: u32) -> Result<(usize, i64), String> {
+fn element_kind(kind: u64) -> Result<(usize, i64), String> {
     match kind {
         1 => Ok((2, 3)),
         2 => Ok((3, 5)),
@@ -139,99 +152,103 @@ fn element_kind(kind: u32) -> Result<(usize, i64), String> {
     }
 }
 
+/// Reads `count` numbers over.
+fn repeat<T>(count: u64, mut next: impl FnMut() -> Result<T, String>) -> Result<(), String> {
+    (0..count).try_for_each(|_| next().map(|_| ()))
+}
+
 impl Content {
     fn add_node(&mut self, node: u64, numbers: &mut Numbers) -> Result<(), String> {
-        let position = Vector3::new(numbers.next()?, numbers.next()?, numbers.next()?);
+        let position = Vector3::new(numbers.real()?, numbers.real()?, numbers.real()?);
         self.point_of_node.insert(node, self.points.len());
         self.points.push(position);
         Ok(())
     }
 
     fn read_nodes_2(&mut self, numbers: &mut Numbers) -> Result<(), String> {
-        for _ in 0..numbers.next::<u64>()? {
-            let node = numbers.next()?;
+        for _ in 0..numbers.line()? {
+            let node = numbers.count()?;
             self.add_node(node, numbers)?;
         }
         Ok(())
     }
 
     fn read_nodes_4(&mut self, numbers: &mut Numbers) -> Result<(), String> {
-        let block_count: u64 = numbers.next()?;
-        numbers.skip(3)?;
+        let block_count = numbers.size()?;
+        repeat(3, || numbers.size())?;
         for _ in 0..block_count {
-            let dimension: usize = numbers.next()?;
-            numbers.skip(1)?;
-            let is_parametric: u32 = numbers.next()?;
-            let node_count: u64 = numbers.next()?;
+            let (dimension, _, is_parametric) = (numbers.count()?, numbers.integer()?, numbers.integer()?);
+            let node_count = numbers.size()?;
             let mut nodes = vec![];
             for _ in 0..node_count {
-                nodes.push(numbers.next::<u64>()?);
+                nodes.push(numbers.size()?);
             }
             for node in nodes {
                 self.add_node(node, numbers)?;
-                numbers.skip(if is_parametric == 1 { dimension } else { 0 })?;
+                repeat(if is_parametric == 1 { dimension } else { 0 }, || numbers.real())?;
             }
         }
         Ok(())
     }
 
+    /// In text every element stands with its kind and its tags; in binary, runs of elements of a kind share them.
     fn read_elements_2(&mut self, numbers: &mut Numbers) -> Result<(), String> {
-        for _ in 0..numbers.next::<u64>()? {
-            let number = numbers.next()?;
-            let kind: u32 = numbers.next()?;
-            let tag_count: usize = numbers.next()?;
-            let group = if tag_count > 0 { numbers.next()? } else { 0 };
-            numbers.skip(tag_count.saturating_sub(1))?;
-            self.add_element(number, kind, group, numbers)?;
+        let element_count = numbers.line()?;
+        let mut read_count = 0;
+        while read_count < element_count {
+            let mut number = if numbers.is_binary() { 0 } else { numbers.count()? };
+            let kind = numbers.count()?;
+            let run_length = if numbers.is_binary() { numbers.count()? } else { 1 };
+            let tag_count = numbers.count()?;
+            for _ in 0..run_length {
+                if numbers.is_binary() {
+                    number = numbers.count()?;
+                }
+                let group = if tag_count > 0 { numbers.integer()? } else { 0 };
+                repeat(tag_count.saturating_sub(1), || numbers.integer())?;
+                self.add_element(number, kind, group, || numbers.count())?;
+            }
+            read_count += run_length;
         }
         Ok(())
     }
 
     fn read_elements_4(&mut self, numbers: &mut Numbers) -> Result<(), String> {
-        let block_count: u64 = numbers.next()?;
-        numbers.skip(3)?;
+        let block_count = numbers.size()?;
+        repeat(3, || numbers.size())?;
         for _ in 0..block_count {
-            let dimension: usize = numbers.next()?;
-            let entity: i64 = numbers.next()?;
-            let kind: u32 = numbers.next()?;
-            let element_count: u64 = numbers.next()?;
+            let (dimension, entity, kind) = (numbers.count()?, numbers.integer()?, numbers.count()?);
+            let element_count = numbers.size()?;
             let group = self.group_of_entity.get(&(dimension, entity)).copied().unwrap_or(0);
             for _ in 0..element_count {
-                let number = numbers.next()?;
-                self.add_element(number, kind, group, numbers)?;
+                let number = numbers.size()?;
+                self.add_element(number, kind, group, || numbers.size())?;
             }
         }
         Ok(())
     }
 
-    fn add_element(&mut self, number: u64, kind: u32, group: i64, numbers: &mut Numbers) -> Result<(), String> {
-        let mut nodes = vec![];
-        for _ in 0..element_kind(kind)?.0 {
-            nodes.push(numbers.next()?);
-        }
+    fn add_element(&mut self, number: u64, kind: u64, group: i64, node: impl FnMut() -> Result<u64, String>) -> Result<(), String> {
+        let nodes = std::iter::repeat_with(node).take(element_kind(kind)?.0).collect::<Result<Vec<u64>, String>>()?;
         self.elements.push(Element { number, kind, group, nodes });
         Ok(())
     }
 
     fn read_entities(&mut self, numbers: &mut Numbers) -> Result<(), String> {
-        let mut counts = [0_u64; 4];
-        for count in &mut counts {
-            *count = numbers.next()?;
-        }
-        for (dimension, count) in counts.into_iter().enumerate() {
+        let counts = [numbers.size()?, numbers.size()?, numbers.size()?, numbers.size()?];
+        for (dimension, count) in (0..).zip(counts) {
             for _ in 0..count {
-                let entity: i64 = numbers.next()?;
-                numbers.skip(if dimension == 0 { 3 } else { 6 })?;
-                let group_count: usize = numbers.next()?;
-                for number in 0..group_count {
-                    let group: i64 = numbers.next()?;
+                let entity = numbers.integer()?;
+                repeat(if dimension == 0 { 3 } else { 6 }, || numbers.real())?;
+                for number in 0..numbers.size()? {
+                    let group = numbers.integer()?;
                     if number == 0 {
                         self.group_of_entity.insert((dimension, entity), group);
                     }
                 }
                 if dimension > 0 {
-                    let boundary_count: usize = numbers.next()?;
-                    numbers.skip(boundary_count)?;
+                    let boundary_count = numbers.size()?;
+                    repeat(boundary_count, || numbers.integer())?;
                 }
             }
         }

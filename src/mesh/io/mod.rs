@@ -1,6 +1,7 @@
 //! Mesh files: VTU, legacy VTK and Gmsh in and out, plain tables in. The only place below the reports where mesh files are touched.
 
 mod encoding;
+mod gmsh_numbers;
 mod gmsh_reader;
 mod gmsh_writer;
 mod legacy_vtk_reader;
@@ -47,7 +48,7 @@ impl FieldValues<'_> {
     }
 }
 
-/// Reads a mesh by the ending of its name: `.vtu`, `.vtk` (legacy) or `.msh` (Gmsh 2.2 and 4.1, text).
+/// Reads a mesh by the ending of its name: `.vtu`, `.vtk` (legacy) or `.msh` (Gmsh 2.2 and 4.1, text or binary).
 ///
 /// # Errors
 /// [`MeshError::Unreadable`] if the file cannot be opened, [`MeshError::Unusable`] if it is of no known kind, truncated or contradicts itself.
