@@ -8,7 +8,7 @@ use cardiotwin::phantom::{
     IdealisedLv, LABEL_CAVITY_LV, LABEL_WALL, PhantomError, PrescribedContraction, ShortAxisStack, SyntheticCineSettings, VoxelSampling,
     rasterise, synthetic_cine,
 };
-use nalgebra::{Matrix3, Matrix4, Rotation3, Vector3};
+use nalgebra::{Matrix3, Matrix4, Rotation3, Vector2, Vector3};
 
 fn oblique_lv() -> IdealisedLv {
     IdealisedLv { long_axis: Vector3::new(-0.5, 0.4, 0.6), centre_mm: Vector3::new(12.0, -30.0, 55.0), ..IdealisedLv::default() }
@@ -120,6 +120,31 @@ fn the_seed_and_not_the_threads_decide_every_bit() {
     assert_ne!(one.cine, image(1, 8).cine);
     assert_eq!(one.labels, image(1, 8).labels);
     assert!((one.volumes_ml[2][0] / one.volumes_ml[0][0] - (1.0 - 0.8 * 0.6)).abs() < 0.01);
+}
+
+/// A slice that is displaced by whole voxels shows what it would have shown, that many voxels on: in image, labels and surroundings.
+#[test]
+fn a_displaced_slice_shows_the_same_elsewhere() {
+    let lv = oblique_lv();
+    let anatomy = anatomy_of(&lv);
+    let grid = stack(2.0, 8.0).grid(&anatomy).unwrap();
+    let frames: Vec<_> =
+        [0.0, 0.8].iter().map(|&s| PrescribedContraction::default().positions_mm(&lv, anatomy.mesh.vertices_mm(), s)).collect();
+    let image = |slice_shifts_mm: Vec<Vector2<f64>>| {
+        let settings = SyntheticCineSettings { noise: 0.0, bias: 0.0, slice_shifts_mm, ..SyntheticCineSettings::default() };
+        synthetic_cine(&anatomy, &frames, &[0.0, 0.2], 0.9, &grid, &settings).unwrap()
+    };
+    let (right, displaced) = (image(vec![]), image(vec![Vector2::zeros(), Vector2::zeros(), Vector2::zeros(), Vector2::new(4.0, -6.0)]));
+    let [ni, nj, nk] = grid.shape();
+    for (k, j, i) in (0..nk).flat_map(|k| (3..nj).flat_map(move |j| (0..ni - 2).map(move |i| (k, j, i)))) {
+        let place = if k == 3 { [i + 2, j - 3, k] } else { [i, j, k] };
+        for frame in 0..2 {
+            let (one, other) = (right.cine.frames()[frame].at([i, j, k]), displaced.cine.frames()[frame].at(place));
+            // Single precision, and samples that lie on a surface to rounding.
+            assert!((one - other).abs() < 0.01, "{one} and {other} at {:?}", [i, j, k]);
+            assert_eq!(right.labels[frame].at([i, j, k]), displaced.labels[frame].at(place));
+        }
+    }
 }
 
 #[test]

@@ -28,7 +28,9 @@ pub use mask::{
     ApexEnd, BaseCut, FieldOptions, FieldReport, HeartCodes, HeartFields, MASK_CODES, Plane, enclosed_volume_ml, heart_fields,
     labels_of_masks,
 };
-pub use nifti::{CineReading, NiftiImage, read_cine, read_label_map, read_label_maps, read_nifti};
+pub use nifti::{
+    CineReading, NiftiImage, read_cine, read_label_map, read_label_maps, read_nifti, write_cine, write_label_map, write_label_maps,
+};
 pub use preprocess::{PREPARED_MAX, PreprocessSettings, preprocess};
 pub use sampling::CineInstant;
 pub use smoothing::gaussian_smoothed;

@@ -2,6 +2,8 @@
 //!
 //! Everything a header says is checked before a voxel is read, so that garbled files end in an [`ImageError`].
 
+mod writer;
+
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
@@ -11,6 +13,8 @@ use nalgebra::{Matrix3, Matrix4, Quaternion, UnitQuaternion, Vector3};
 
 use super::phases::CommonPhases;
 use super::{CineSequence, CineTiming, Grid, ImageError, LabelMap, Volume};
+
+pub use writer::{write_cine, write_label_map, write_label_maps};
 
 /// A 3-D or 4-D image as its file tells it.
 #[derive(Debug, Clone)]

@@ -13,6 +13,7 @@ mod synthetic_cine;
 
 pub use error::PhantomError;
 pub use idealised_lv::IdealisedLv;
+pub use noise::breath_hold_shifts_mm;
 pub use prescribed_motion::PrescribedContraction;
 pub use rasterise::{LABEL_CAVITY_LV, LABEL_CAVITY_RV, LABEL_WALL, TissueShares, VoxelSampling, rasterise};
 pub use short_axis::ShortAxisStack;

@@ -1,6 +1,6 @@
 //! What the scanner adds: noise of magnitude images and the falling-off sensitivity of its coils.
 
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -21,6 +21,17 @@ pub(super) fn add_rician_noise(values: &mut [f32], deviation: f64, seed: u64, st
         let imaginary: f32 = StandardNormal.sample(&mut random);
         *value = (*value + deviation * real).hypot(deviation * imaginary);
     }
+}
+
+/// Displacements of slices (mm along i and j), independent and normal about zero: a patient who holds the breath a little differently for each.
+pub fn breath_hold_shifts_mm(slice_count: usize, deviation_mm: f64, seed: u64) -> Vec<Vector2<f64>> {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    random.set_stream(u64::MAX);
+    let mut displacement = || {
+        let normal: f64 = StandardNormal.sample(&mut random);
+        deviation_mm * normal
+    };
+    (0..slice_count).map(|_| Vector2::new(displacement(), displacement())).collect()
 }
 
 /// A smooth factor $e^{a s}$ on the intensities, s running from −1 to 1 across the image along one oblique direction of the grid.

@@ -1,6 +1,8 @@
 //! Deformed tetrahedra → how much of every voxel is blood, wall and background, \[Billet2009\] §6.1.
 
-use nalgebra::Vector3;
+use std::borrow::Cow;
+
+use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
 use super::PhantomError;
@@ -53,6 +55,16 @@ impl VoxelSampling {
         let [ni, nj, _] = self.samples_per_voxel.map(|n| n as f64);
         let place = |voxel: Vector3<f64>| Vector3::new((voxel.x + 0.5) * ni - 0.5, (voxel.y + 0.5) * nj - 0.5, voxel.z);
         positions_mm.iter().map(|position| place(grid.to_voxel(position))).collect()
+    }
+
+    /// The sample coordinates of slice `k`, which shows everything displaced by its shift (mm along i and j).
+    pub(super) fn displaced<'p>(&self, grid: &Grid, points: &'p [Vector3<f64>], shift_mm: Vector2<f64>) -> Cow<'p, [Vector3<f64>]> {
+        if shift_mm == Vector2::zeros() {
+            return Cow::Borrowed(points);
+        }
+        let per_mm = |axis: usize| self.samples_per_voxel[axis] as f64 / grid.spacing_mm()[axis];
+        let shift = Vector3::new(shift_mm.x * per_mm(0), shift_mm.y * per_mm(1), 0.0);
+        Cow::Owned(points.iter().map(|point| point + shift).collect())
     }
 
     /// Heights (in slices) of the sample planes of slice `k`.
@@ -142,11 +154,26 @@ pub fn rasterise(
     grid: &Grid,
     sampling: &VoxelSampling,
 ) -> Result<TissueShares, PhantomError> {
+    rasterise_displaced(anatomy, position_mm, grid, sampling, &[])
+}
+
+/// As [`rasterise`], with every slice displaced by its own shift (mm along i and j; slices without one lie right).
+pub(super) fn rasterise_displaced(
+    anatomy: &Anatomy,
+    position_mm: &[Vector3<f64>],
+    grid: &Grid,
+    sampling: &VoxelSampling,
+    slice_shifts_mm: &[Vector2<f64>],
+) -> Result<TissueShares, PhantomError> {
     sampling.check(grid)?;
     check_positions(anatomy, 0, position_mm)?;
     let heart = ImagedHeart::new(anatomy, 0.0);
     let points = sampling.sample_positions(grid, &heart.positions_mm(position_mm));
-    let slices: Vec<SliceCounts> = (0..grid.shape()[2]).into_par_iter().map(|k| count_slice(&heart, &points, grid, sampling, k)).collect();
+    let slice = |k: usize| {
+        let shift_mm = slice_shifts_mm.get(k).copied().unwrap_or_default();
+        count_slice(&heart, &sampling.displaced(grid, &points, shift_mm), grid, sampling, k)
+    };
+    let slices: Vec<SliceCounts> = (0..grid.shape()[2]).into_par_iter().map(slice).collect();
     let cavities = anatomy.cavities.iter().enumerate();
     let gather = |part: usize| slices.iter().flat_map(|slice| slice.shares[part].iter().copied()).collect();
     let cavities = cavities.map(|(cavity, (ventricle, _))| (*ventricle, gather(1 + cavity))).collect();

@@ -4,16 +4,16 @@
 //! carries a texture that belongs to the material (it is evaluated where the point was at rest), the surroundings carry a still one; every
 //! voxel averages its samples (partial volume, thick slices); bias and Rician noise come last.
 
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
+use super::PhantomError;
 use super::error::within;
 use super::imaged_heart::ImagedHeart;
 use super::noise::{BiasField, add_rician_noise};
 use super::random_field::RandomField;
-use super::rasterise::{VoxelSampling, check_positions, scan_wall};
+use super::rasterise::{VoxelSampling, check_positions, rasterise_displaced, scan_wall};
 use super::scan::scan_closed_surface;
-use super::{PhantomError, rasterise};
 use crate::anatomy::Anatomy;
 use crate::image::{CineSequence, Grid, LabelMap, Volume};
 use crate::units::ml_from_mm3;
@@ -43,6 +43,9 @@ pub struct SyntheticCineSettings {
     pub noise: f64,
     /// Amplitude of the logarithm of the bias field; 0 for none.
     pub bias: f64,
+    /// By how much every slice (index k) shows everything displaced, mm along i and j, as breath-holds that differ do; the slices beyond the list
+    /// lie right.
+    pub slice_shifts_mm: Vec<Vector2<f64>>,
     /// Seed of textures and noise.
     pub seed: u64,
 }
@@ -61,6 +64,7 @@ impl Default for SyntheticCineSettings {
             continuation_mm: 40.0,
             noise: 6.0,
             bias: 0.1,
+            slice_shifts_mm: Vec::new(),
             seed: 1,
         }
     }
@@ -71,10 +75,12 @@ impl Default for SyntheticCineSettings {
 pub struct SyntheticCine {
     /// The images.
     pub cine: CineSequence,
-    /// The truth in every voxel, one map a frame: codes of [`super::TissueShares::to_label_map`].
+    /// The truth in every voxel, one map a frame, displaced as the slices are: codes of [`super::TissueShares::to_label_map`].
     pub labels: Vec<LabelMap>,
     /// True volume of each cavity (left first) in every frame, mL, from the mesh.
     pub volumes_ml: Vec<Vec<f64>>,
+    /// The same summed over the shares of blood in the voxels: what the sampling of the voxels makes of it.
+    pub voxel_volumes_ml: Vec<Vec<f64>>,
 }
 
 /// Images the heart at the positions of every frame (one a mesh vertex, mm). The same seed gives the same bits on any number of threads.
@@ -96,18 +102,29 @@ pub fn synthetic_cine(
     let scene = Scene::new(anatomy, grid, settings);
     let images = frames_mm.iter().enumerate().map(|(frame, positions)| scene.image(frame, positions));
     let images = images.collect::<Result<Vec<_>, _>>()?;
-    let truth = frames_mm.iter().map(|positions| rasterise(anatomy, positions, grid, &settings.sampling)?.to_label_map());
+    let (sampling, shifts_mm) = (&settings.sampling, &settings.slice_shifts_mm);
+    let (mut labels, mut voxel_volumes_ml) = (Vec::new(), Vec::new());
+    for positions in frames_mm {
+        let shares = rasterise_displaced(anatomy, positions, grid, sampling, shifts_mm)?;
+        voxel_volumes_ml.push((0..anatomy.cavities.len()).map(|cavity| ml_from_mm3(shares.cavity_volume_mm3(cavity))).collect());
+        labels.push(shares.to_label_map()?);
+    }
     let volumes = |positions: &Vec<Vector3<f64>>| {
         anatomy.cavities.iter().map(|(_, cavity)| ml_from_mm3(cavity.volume_mm3(positions))).collect::<Vec<f64>>()
     };
     Ok(SyntheticCine {
-        labels: truth.collect::<Result<_, _>>()?,
+        labels,
+        voxel_volumes_ml,
         volumes_ml: frames_mm.iter().map(volumes).collect(),
         cine: CineSequence::new(images, times_s.to_vec(), period_s)?,
     })
 }
 
 impl SyntheticCineSettings {
+    fn shift_mm(&self, slice: usize) -> Vector2<f64> {
+        self.slice_shifts_mm.get(slice).copied().unwrap_or_default()
+    }
+
     fn check(&self, grid: &Grid) -> Result<(), PhantomError> {
         self.sampling.check(grid)?;
         let amounts = [
@@ -131,6 +148,9 @@ impl SyntheticCineSettings {
             within(name, value, [0.2, 1e3], "lie between 0.2 and 1000 mm")?;
         }
         within("the bias", self.bias, [0.0, 3.0], "lie between 0 and 3")?;
+        for shift_mm in self.slice_shifts_mm.iter().flat_map(|shift| shift.iter()) {
+            within("a slice's shift in mm", *shift_mm, [-100.0, 100.0], "lie between -100 and 100 mm")?;
+        }
         Ok(())
     }
 }
@@ -168,9 +188,10 @@ impl<'a> Scene<'a> {
         let mut values = self.background[k * ni * nj..(k + 1) * ni * nj].to_vec();
         let surroundings = values.clone();
         let mut samples = vec![f32::NAN; plane.sample_count()];
+        let points = sampling.displaced(self.grid, points, self.settings.shift_mm(k));
         for z in sampling.heights(k) {
             samples.fill(f32::NAN);
-            self.paint(points, z, &mut samples);
+            self.paint(&points, z, &mut samples);
             for (sample, &intensity) in samples.iter().enumerate().filter(|(_, intensity)| !intensity.is_nan()) {
                 let voxel = sampling.voxel_in_slice(sample, plane);
                 values[voxel] += one * (intensity - surroundings[voxel]);
@@ -213,7 +234,9 @@ fn background(grid: &Grid, settings: &SyntheticCineSettings) -> Vec<f32> {
     let seed = settings.seed ^ 0x5DEE_CE66_D1CE_4E5B;
     let field = RandomField::new(bounds(corners), settings.background_texture_length_mm, seed);
     let value = |voxel: usize| {
-        let place = Vector3::from(grid.voxel_of(voxel).map(|x| x as f64));
+        let [i, j, k] = grid.voxel_of(voxel);
+        let shift = settings.shift_mm(k).component_div(&grid.spacing_mm().xy());
+        let place = Vector3::new(i as f64 - shift.x, j as f64 - shift.y, k as f64);
         (settings.background * (1.0 + settings.background_texture * field.at(&grid.to_world_mm(&place)))).max(0.0) as f32
     };
     (0..grid.voxel_count()).into_par_iter().map(value).collect()

@@ -24,7 +24,7 @@ pub use mesh_file::{LengthUnit, MeshPlan, MeshSource};
 pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite, SitePlan};
 pub use output::OutputPlan;
 pub use personalisation::{FreeParameter, PersonalisationPlan};
-pub use phantom::{ModelAnatomy, PhantomPlan};
+pub use phantom::{ContractionPlan, ModelAnatomy, PhantomPlan};
 pub use tracking::{BaseMode, GainChoice, TrackingPlan};
 
 use super::provenance::Provenance;
@@ -55,6 +55,8 @@ words! {
         Simulate = "simulate",
         /// The proactive heart follows images with fixed parameters, \[Billet2009\] §4–5.
         Track = "track",
+        /// Makes images of a heart and leaves them with their truth, \[Billet2009\] §6.1.
+        Phantom = "phantom",
         /// Tracks a synthetic heart by every force scheme, \[Billet2009\] §6.1.
         CompareSchemes = "compare_schemes",
         /// Tracks the same images with a free base, springs and block matching, \[Billet2009\] §6.2.
@@ -162,7 +164,7 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
     if let Some(ImageSource::Phantom(phantom)) = &images {
         check_tolerances(&root, phantom, personalisation.as_ref());
     }
-    if matches!((kind, simulation.beats), (Some(Kind::Track | Kind::Personalise), Beats::Periodic(_))) {
+    if matches!((kind, simulation.beats), (Some(Kind::Phantom | Kind::Track | Kind::Personalise), Beats::Periodic(_))) {
         root.problem("simulation.beats", "needs a heart without images", "write a number of beats");
     }
     if comparison.is_some() && kind != Some(Kind::CompareSchemes) {
@@ -172,7 +174,7 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
         (Some(Kind::Personalise), None) => {
             root.missing("personalisation", "[personalisation] with a [[personalisation.parameter]] for each free parameter")
         }
-        (Some(Kind::Mesh | Kind::Simulate | Kind::Track | Kind::CompareSchemes | Kind::CompareBases), Some(_)) => {
+        (Some(Kind::Mesh | Kind::Simulate | Kind::Phantom | Kind::Track | Kind::CompareSchemes | Kind::CompareBases), Some(_)) => {
             root.problem("personalisation", "is of no use here", "write kind = \"personalise\", or take the table away")
         }
         _ => {}
@@ -209,8 +211,17 @@ fn images_of(
             root.problem("phantom", "stands beside [images]", "images are either read ([images]) or made ([phantom]): take one away");
             None
         }
-        (None, Some(_)) if !is_lv => {
+        (None, Some(_)) if !is_lv && kind != Some(Kind::Phantom) => {
             root.problem("phantom", "needs a left ventricle that is known exactly", "write [anatomy.idealised_lv] as its only shape");
+            None
+        }
+        (None, Some(phantom)) if phantom.contraction.is_some() && (!is_lv || kind == Some(Kind::Personalise)) => {
+            let remedy = "write [anatomy.idealised_lv] and kind = \"phantom\" or \"track\", or take the table away";
+            root.problem("phantom.contraction", "moves the idealised left ventricle, and has no parameters to be found", remedy);
+            None
+        }
+        (Some(_), None) if kind == Some(Kind::Phantom) => {
+            root.problem("images", "are made here", "write [phantom] in place of [images]");
             None
         }
         (Some(_), None) if !has_labels => {
@@ -223,6 +234,10 @@ fn images_of(
         }
         (Some(images), None) => Some(ImageSource::Cine(images)),
         (None, Some(phantom)) => Some(ImageSource::Phantom(phantom)),
+        (None, None) if kind == Some(Kind::Phantom) => {
+            root.missing("phantom", "[phantom], which says how the heart is imaged");
+            None
+        }
         (None, None) if matches!(kind, Some(Kind::Track | Kind::CompareSchemes | Kind::CompareBases | Kind::Personalise)) => {
             root.missing("images", "[images] with a cine, or [phantom] to make one");
             None

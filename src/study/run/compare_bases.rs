@@ -319,7 +319,7 @@ fn draw(
     let is_shown = |one: &&Tried| one.mode.base != BaseMode::BlockMatching || one.mode.projection == plan.tracking.base_projection;
     let motions: Vec<NamedMotion> = finished()
         .filter(is_shown)
-        .filter_map(|one| Some(NamedMotion { name: one.mode.name, trajectory: &one.tracked.as_ref()?.motion.trajectory }))
+        .filter_map(|one| Some(NamedMotion { name: one.mode.name, frames: &one.tracked.as_ref()?.motion.trajectory.frames }))
         .collect();
     montages(plan, patient, images, clock, &motions)
 }

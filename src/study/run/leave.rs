@@ -9,8 +9,8 @@ use super::error::RunError;
 use super::forward::{deformation, observables};
 use super::track::Tracked;
 use super::wall::{WallSummary, write_wall};
-use crate::anatomy::Ventricle;
-use crate::heart::{ActivationTimes, BeatObservables, HeartModel, Strain, Trajectory};
+use crate::anatomy::{Anatomy, Ventricle};
+use crate::heart::{ActivationTimes, BeatObservables, FrameState, HeartModel, Strain, Trajectory};
 use crate::mesh::io::{FieldValues, write_vtu};
 use crate::mesh::{MeshQuality, SurfaceTag};
 use crate::report::{create_folder, write_csv, write_pvd};
@@ -190,6 +190,25 @@ pub(super) fn write_series(folder: &Path, name: &str, model: &HeartModel, trajec
             ("fibre", FieldValues::Vectors(&fibres)),
             ("aha_segment", FieldValues::Labels(&segments)),
         ];
+        write_vtu(&folder.join(&file), &anatomy.mesh, &frame.position_mm, &point_fields, &cell_fields)?;
+        listed.push((frame.time_s, file));
+    }
+    Ok(write_pvd(&folder.join(format!("{name}.pvd")), &listed)?)
+}
+
+/// Writes the positions of a mesh that no model moves, as [`write_series`] does.
+pub(super) fn write_positions(folder: &Path, name: &str, anatomy: &Anatomy, frames: &[FrameState]) -> Result<(), RunError> {
+    create_folder(&folder.join(name))?;
+    let segments: Vec<i32> = anatomy.aha_segments.iter().map(|&segment| i32::from(segment)).collect();
+    let mut listed = Vec::with_capacity(frames.len());
+    for (number, frame) in frames.iter().enumerate() {
+        let displacement_mm: Vec<_> = frame.position_mm.iter().zip(anatomy.mesh.vertices_mm()).map(|(now, rest)| now - rest).collect();
+        let file = format!("{name}/{number:03}.vtu");
+        let point_fields = [
+            ("displacement_mm", FieldValues::Vectors(&displacement_mm)),
+            ("transmural_depth", FieldValues::Scalars(&anatomy.transmural_depth)),
+        ];
+        let cell_fields = [("aha_segment", FieldValues::Labels(&segments))];
         write_vtu(&folder.join(&file), &anatomy.mesh, &frame.position_mm, &point_fields, &cell_fields)?;
         listed.push((frame.time_s, file));
     }

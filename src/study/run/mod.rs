@@ -8,6 +8,7 @@ mod discrepancy;
 mod each_beat;
 mod error;
 mod forward;
+mod imaged_beat;
 mod leave;
 mod mesh_file;
 mod mesh_only;
@@ -15,6 +16,7 @@ mod mesh_overlays;
 mod montages;
 mod patient;
 mod personalise;
+mod phantom;
 mod pictures;
 mod recorded_base;
 mod simulate;
@@ -41,6 +43,7 @@ pub fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
     match plan.kind {
         Kind::Mesh => mesh_only::run(plan, context),
         Kind::Simulate => simulate::run(plan, context),
+        Kind::Phantom => phantom::run(plan, context),
         Kind::Track => track_only::run(plan, context),
         Kind::CompareBases => compare_bases::run(plan, context),
         Kind::CompareSchemes => compare_schemes::run(plan, context),

@@ -6,7 +6,7 @@ use super::clock::Clock;
 use super::error::RunError;
 use super::patient::{Patient, PatientImages};
 use super::slice_panels::{Line, in_slice, panel, section, window_around};
-use crate::heart::Trajectory;
+use crate::heart::FrameState;
 use crate::image::{CineSequence, Grid, Volume};
 use crate::mesh::SurfaceTag;
 use crate::report::figures::{Contour, Montage, slice_montage};
@@ -17,7 +17,7 @@ use crate::units::MS_PER_S;
 /// A motion with its name, for the montage.
 pub(super) struct NamedMotion<'a> {
     pub(super) name: &'static str,
-    pub(super) trajectory: &'a Trajectory,
+    pub(super) frames: &'a [FrameState],
 }
 
 /// A row of a montage: one slice of one view.
@@ -114,7 +114,7 @@ fn montage(
         for &place in &times {
             let mut panel = panel(view, nearest_frame(view, clock.times_s[place]), *slice, window);
             for (surface, motion) in motions.iter().enumerate() {
-                let Some(state) = motion.trajectory.frames.get(place) else { continue };
+                let Some(state) = motion.frames.get(place) else { continue };
                 for tag in tags {
                     let triangles: Vec<_> = patient.anatomy.surface.triangles_with(tag).collect();
                     let lines = section(&triangles, &state.position_mm, view.grid(), *slice);
@@ -170,7 +170,7 @@ fn slice_choice(patient: &Patient, view: &CineSequence, count: usize) -> Vec<usi
 fn time_choice(clock: &Clock, images: &PatientImages, motions: &[NamedMotion], count: usize) -> Vec<usize> {
     let last = clock.times_s.len().saturating_sub(1);
     let mut places: Vec<usize> = (0..count).map(|n| (n * last) / count.max(1)).collect();
-    let volumes = motions.first().map(|motion| &motion.trajectory.frames);
+    let volumes = motions.first().map(|motion| motion.frames);
     let smallest = || {
         let frames = volumes?;
         let volume = |place: &usize| frames[*place].volume_ml.first().copied().unwrap_or(f64::INFINITY);

@@ -162,17 +162,21 @@ pub(super) fn anatomy_settings(plan: &AnatomyPlan) -> AnatomySettings {
     }
 }
 
-/// The idealised left ventricle of a plan.
-pub(super) fn idealised_anatomy(plan: &AnatomyPlan, shape: &IdealisedLv) -> Result<Anatomy, RunError> {
-    let ideal = crate::phantom::IdealisedLv {
+/// The shape of an idealised left ventricle.
+pub(super) fn idealised_shape(shape: &IdealisedLv) -> crate::phantom::IdealisedLv {
+    crate::phantom::IdealisedLv {
         cavity_radius_mm: shape.cavity_radius_mm,
         cavity_length_mm: shape.cavity_length_mm,
         base_height_mm: shape.base_height_mm,
         wall_thickness_mm: shape.wall_thickness_mm,
         apex_thickness_mm: shape.apex_thickness_mm,
         ..crate::phantom::IdealisedLv::default()
-    };
-    Ok(ideal.build(&MesherSettings::with_edge_length_mm(plan.edge_length_mm), &anatomy_settings(plan))?)
+    }
+}
+
+/// The idealised left ventricle of a plan.
+pub(super) fn idealised_anatomy(plan: &AnatomyPlan, shape: &IdealisedLv) -> Result<Anatomy, RunError> {
+    Ok(idealised_shape(shape).build(&MesherSettings::with_edge_length_mm(plan.edge_length_mm), &anatomy_settings(plan))?)
 }
 
 /// The idealised ventricles of a plan.

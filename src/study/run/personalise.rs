@@ -450,8 +450,8 @@ fn draw(
     further.extend(patient.truth.as_ref().map(|truth| Curve::new("truth", Look::Truth, &clock.times_s, &truth.volumes_lv_ml)));
     pictures::beat(plan, clock, &found.fitted, &further)?;
     let motions = [
-        NamedMotion { name: "tracked", trajectory: &tracked.motion.trajectory },
-        NamedMotion { name: "personalised model, no image forces", trajectory: &found.fitted },
+        NamedMotion { name: "tracked", frames: &tracked.motion.trajectory.frames },
+        NamedMotion { name: "personalised model, no image forces", frames: &found.fitted.frames },
     ];
     montages(plan, patient, images, clock, &motions)?;
     let cost = found.calibration.records.iter().map(|record| record.cost).collect();

@@ -4,15 +4,14 @@ use std::sync::Arc;
 
 use nalgebra::Vector3;
 
-use super::clock::Clock;
 use super::error::RunError;
-use super::forward::{beat, frame_volumes_lv_ml, heart_model, step_count};
+use super::imaged_beat::{ImagedBeat, imaged_beat};
 use super::patient::{Patient, PatientImages, anatomy_from_labels, idealised_anatomy};
 use crate::anatomy::Anatomy;
 use crate::heart::{FrameState, Parameter, Parameters};
 use crate::image::{FieldOptions, HeartCodes, PreprocessSettings, preprocess};
 use crate::mesh::TetMesh;
-use crate::phantom::{LABEL_CAVITY_LV, LABEL_WALL, ShortAxisStack, SyntheticCineSettings, synthetic_cine};
+use crate::phantom::{LABEL_CAVITY_LV, LABEL_WALL};
 use crate::study::RunContext;
 use crate::study::plan::{IdealisedLv, ModelAnatomy, PhantomPlan, Plan};
 
@@ -32,32 +31,14 @@ pub(super) struct Truth {
 pub(super) fn patient(plan: &Plan, shape: &IdealisedLv, phantom: &PhantomPlan, context: &RunContext) -> Result<Patient, RunError> {
     context.progress().stage("building the true heart", None);
     let anatomy = Arc::new(idealised_anatomy(&plan.anatomy, shape)?);
-    let mut parameters = plan.parameters.clone();
-    for (&parameter, &value) in &phantom.truth {
-        parameters.set(parameter, value)?;
-    }
-    let period_s = parameters[Parameter::HeartPeriod];
-    let times_s: Vec<f64> =
-        (0..phantom.frames).map(|frame| shape.reference_time_s + period_s * frame as f64 / phantom.frames as f64).collect();
-    let clock = Clock::new(0, &times_s, period_s, plan.simulation.beats.count());
-    let model = heart_model(&plan.model, &anatomy, parameters.clone())?;
-    context.progress().stage("beating the true heart", Some(step_count(&clock, plan.model.step_s)));
-    let trajectory = beat(&model, &clock, &[], context)?;
-    if trajectory.stopped {
-        return Err(RunError::Stopped);
-    }
-
-    context.progress().stage("imaging the true heart", None);
-    let stack =
-        ShortAxisStack { voxel_mm: phantom.voxel_size_mm, slice_distance_mm: phantom.slice_thickness_mm, ..ShortAxisStack::default() };
-    let positions: Vec<_> = trajectory.frames[..phantom.frames].iter().map(|frame| frame.position_mm.clone()).collect();
-    let imaged = synthetic_cine(&anatomy, &positions, &times_s, period_s, &stack.grid(&anatomy)?, &imaging(phantom))?;
+    let beat = imaged_beat(plan, phantom, &anatomy, shape.reference_time_s, context)?;
+    let ImagedBeat { parameters, frames, imaged, .. } = beat;
 
     let mut warnings = Vec::new();
     let reference_frame = phantom.reference_frame;
     let codes = HeartCodes::left(LABEL_CAVITY_LV, LABEL_WALL);
     let seen = match phantom.anatomy {
-        ModelAnatomy::Truth => as_drawn(&anatomy, &trajectory.frames[reference_frame], phantom)?,
+        ModelAnatomy::Truth => as_drawn(&anatomy, &frames[reference_frame], phantom)?,
         ModelAnatomy::Labels => {
             anatomy_from_labels(&plan.anatomy, &imaged.labels[reference_frame], &codes, &FieldOptions::default(), &mut warnings)?
         }
@@ -70,10 +51,10 @@ pub(super) fn patient(plan: &Plan, shape: &IdealisedLv, phantom: &PhantomPlan, c
         reference_frame,
         validation: vec![(end_systole, imaged.labels[end_systole].clone(), LABEL_CAVITY_LV)],
     };
-    let volumes_lv_ml = from_reference(reference_frame, &frame_volumes_lv_ml(&trajectory));
-    let frames = from_reference(reference_frame, &trajectory.frames);
-    let truth = Truth { parameters: parameters.clone(), volumes_lv_ml, anatomy, frames };
-    let model_parameters = plan.parameters.clone().with(Parameter::HeartPeriod, period_s)?;
+    let frames = from_reference(reference_frame, &frames);
+    let volumes_lv_ml = frames.iter().filter_map(|frame| frame.volume_ml.first().copied()).collect();
+    let model_parameters = plan.parameters.clone().with(Parameter::HeartPeriod, parameters[Parameter::HeartPeriod])?;
+    let truth = Truth { parameters, volumes_lv_ml, anatomy, frames };
     Ok(Patient {
         anatomy: Arc::new(seen),
         parameters: model_parameters,
@@ -97,16 +78,4 @@ fn as_drawn(anatomy: &Anatomy, frame: &FrameState, phantom: &PhantomPlan) -> Res
 /// What was seen at the frames of a beat (its first again last), in the order of a beat that starts at the frame `reference`.
 fn from_reference<T: Clone>(reference: usize, beat: &[T]) -> Vec<T> {
     beat[reference..].iter().chain(&beat[1..=reference]).cloned().collect()
-}
-
-fn imaging(phantom: &PhantomPlan) -> SyntheticCineSettings {
-    let default = SyntheticCineSettings::default();
-    SyntheticCineSettings {
-        wall_texture: phantom.texture,
-        wall_texture_length_mm: phantom.texture_length_mm,
-        noise: phantom.noise * default.blood,
-        bias: phantom.bias,
-        seed: phantom.seed,
-        ..default
-    }
 }

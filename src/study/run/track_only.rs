@@ -52,7 +52,7 @@ pub(super) fn leave(
     write_base_motion(&plan.output.directory, &clock, &model, trajectory)?;
     if plan.output.figures {
         pictures::beat(plan, &clock, trajectory, &[])?;
-        let motions = [NamedMotion { name: "tracked", trajectory }];
+        let motions = [NamedMotion { name: "tracked", frames: &trajectory.frames }];
         montages(plan, patient, images, &clock, &motions)?;
     }
     let details = Details { tracking: tracking_summary(tracked), validation: validation_summary(patient, images, tracked) };
