@@ -4,7 +4,8 @@
 use std::sync::Arc;
 
 use cardiotwin::mechanics::{
-    Kinematics, MechanicsError, MotionState, Myocardium, PassiveProperties, StepOperator, StepSettings, StepSolver, TimeScheme,
+    Kinematics, Linearisation, MechanicsError, MotionState, Myocardium, PassiveProperties, StepOperator, StepSettings, StepSolver,
+    TimeScheme,
 };
 use cardiotwin::mesh::{SurfaceTag, TaggedSurface};
 use nalgebra::{DMatrix, Matrix3, Vector3};
@@ -132,7 +133,7 @@ fn shortening_mm(refinement: usize, stress_kpa: f64, kinematics: Kinematics) -> 
         Kinematics::Corotational => {
             let mut correction = vec![rest_mm.clone()];
             for _ in 0..12 {
-                operator.linearise(&position, &mut system).unwrap();
+                operator.linearise(&position, Linearisation::Exact, &mut system).unwrap();
                 operator.residual(&system, &mut correction[0]).unwrap();
                 solver.correct(&operator, &system, &mut correction, 1e-10).unwrap();
                 position.iter_mut().zip(&correction[0]).for_each(|(y, change)| *y += change);

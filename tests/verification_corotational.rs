@@ -4,7 +4,8 @@
 use std::sync::Arc;
 
 use cardiotwin::mechanics::{
-    Kinematics, MechanicsError, MotionState, Myocardium, PassiveProperties, StepOperator, StepSettings, StepSolver, StepSystem, TimeScheme,
+    Kinematics, Linearisation, MechanicsError, MotionState, Myocardium, PassiveProperties, StepOperator, StepSettings, StepSolver,
+    StepSystem, TimeScheme,
 };
 use cardiotwin::mesh::TetMesh;
 use cardiotwin::numerics::TaylorTest;
@@ -58,7 +59,7 @@ fn newton(operator: &StepOperator, state: &MotionState, system: &mut StepSystem)
     let mut columns = vec![trial.clone()];
     let mut moves = vec![];
     for _ in 0..30 {
-        operator.linearise(&trial, system).unwrap();
+        operator.linearise(&trial, Linearisation::Exact, system).unwrap();
         operator.residual(system, &mut columns[0]).unwrap();
         solver.correct(operator, system, &mut columns, 1e-9).unwrap();
         trial.iter_mut().zip(&columns[0]).for_each(|(y, correction)| *y += correction);
@@ -129,7 +130,7 @@ fn the_tangent_of_a_whole_step_leaves_a_second_order_remainder() {
             Ok::<_, MechanicsError>(flat(&residual))
         };
         let mut linearised = system.clone();
-        operator.linearise(&state.position_mm, &mut linearised).unwrap();
+        operator.linearise(&state.position_mm, Linearisation::Exact, &mut linearised).unwrap();
         for seed in 0..2 {
             let direction = DVector::from_fn(base.len(), |i, _| (1.7 * i as f64 + 2.3 * f64::from(seed)).sin());
             // The correction of A d is d, so the derivative is taken from the solver as well as from the operator.
@@ -319,6 +320,6 @@ fn a_system_that_was_not_linearised_is_refused() {
     let mut solver = StepSolver::default();
     assert_eq!(solver.correct(&operator, &system, &mut columns, 1e-8), Err(MechanicsError::NotLinearised));
     assert_eq!(solver.solve(&operator, &system, &mut columns[0], &mut []), Err(MechanicsError::NotLinearised));
-    operator.linearise(&state.position_mm, &mut system).unwrap();
+    operator.linearise(&state.position_mm, Linearisation::Exact, &mut system).unwrap();
     solver.correct(&operator, &system, &mut columns, 1e-8).unwrap();
 }

@@ -7,7 +7,8 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::idealised_lv::IdealisedLv;
 use super::*;
-use crate::anatomy::{Anatomy, Ventricle};
+use crate::anatomy::mesher::MesherSettings;
+use crate::anatomy::{Anatomy, AnatomySettings, IdealisedBiventricle, Ventricle};
 use crate::circulation::Phase;
 use crate::mechanics::{Kinematics, MotionState, StepLoad, StepSystem, TimeScheme};
 
@@ -160,6 +161,63 @@ fn a_beat_does_not_depend_on_the_number_of_threads() {
         pool.install(|| beat(&model, 0.0, 0.12, &[]))
     };
     assert!(on(1) == on(2));
+}
+
+/// Two soft ventricles contracted twice as hard as they should be, whose tangent is not positive definite at end-systole. Newton's method
+/// with the exact tangent alone ends after 0.12 s of it.
+#[test]
+fn soft_ventricles_that_are_contracted_hard_beat() {
+    let shape = IdealisedBiventricle::default();
+    let (mesher, settings_of_anatomy) = (MesherSettings::with_edge_length_mm(14.0), AnatomySettings::default());
+    let ventricles = Arc::new(shape.build(&mesher, &settings_of_anatomy).unwrap());
+    let parameters = with(&[
+        (Parameter::FibreStiffness, 20.0),
+        (Parameter::TransverseStiffness, 10.0),
+        (Parameter::ContractionPeakLv, 200.0),
+        (Parameter::ContractionPeakRv, 160.0),
+        (Parameter::ContractionRate, 20.0),
+        (Parameter::BaseStiffnessNormal, 0.0),
+        (Parameter::BaseStiffnessIsotropic, 0.3),
+        (Parameter::PericardiumStiffness, 0.1),
+    ]);
+    let trajectory = beat(&HeartModel::new(ventricles, parameters, settings(0.005)).unwrap(), 0.0, 0.3, &[]);
+    let volumes = left(&trajectory).into_iter().map(|(_, curve)| curve.volume_ml);
+    let ejected = 1.0 - volumes.clone().fold(f64::INFINITY, f64::min) / volumes.fold(0.0, f64::max);
+    assert!(ejected > 0.6, "{ejected}");
+}
+
+/// A step in parts ends where the whole one would have, at its time; blood is conserved over it, and the parts tend to it as it shrinks.
+#[test]
+fn a_step_in_halves_tends_to_the_whole_step() {
+    let apart = |step_s: f64| {
+        let model = HeartModel::new(anatomy(), published(), settings(step_s)).unwrap();
+        let start = beat(&model, -0.02, 0.04, &[]).last;
+        let whole = model.step(&start, &[], &mut model.workspace()).unwrap();
+        let why = StepError::NotConverged { time_s: 0.0, step_s, residual_mn: 1.0, tolerance_mn: 0.0, volume_defect_ml: 0.0 };
+        let halves = model.halved_step(&start, &[], &mut model.workspace(), why).unwrap();
+        assert_eq!((whole.substep_count, halves.substep_count), (1, 2));
+        assert_eq!(whole.state.time_s.to_bits(), halves.state.time_s.to_bits());
+        let (before, after) = (&start.ventricles[0], &halves.state.ventricles[0]);
+        let sent_mm3 = 1e3 * step_s * (after.inflow_ml_per_s - after.outflow_ml_per_s);
+        assert!((after.volume_mm3 - before.volume_mm3 - sent_mm3).abs() < 2.1e-3, "{sent_mm3} mm³");
+        farthest_mm(&whole.state.motion.position_mm, &halves.state.motion.position_mm)
+    };
+    let distances = [0.004, 0.002, 0.001].map(apart);
+    assert!(distances.windows(2).all(|pair| pair[1] < 0.4 * pair[0]), "{distances:?} mm");
+}
+
+/// What no part of a step makes better is told as the whole step's error.
+#[test]
+fn halves_that_fail_leave_the_error_of_the_whole_step() {
+    struct Torn;
+    impl StepLoad for Torn {
+        fn add_to(&self, _: &MotionState, _: f64, _: f64, system: &mut StepSystem) {
+            system.force_mn[5].x = f64::NAN;
+        }
+    }
+    let model = HeartModel::new(anatomy(), published(), settings(0.004)).unwrap();
+    let error = model.step(&model.initial_state(0.1), &[&Torn], &mut model.workspace()).unwrap_err();
+    assert!(error.to_string().starts_with("at 0.1000 s (step 0.004 s)"), "{error}");
 }
 
 /// Steps of 0.5 to 10 ms, stiffness and contraction over their whole ranges: a beat, or (only in tissue a thousand times softer than

@@ -19,11 +19,13 @@ mod onset;
 mod parameters;
 mod periodic;
 mod phases;
+mod potential;
 mod pressure_stiffness;
 mod rhythm;
 mod simulate;
 mod state;
 mod step;
+mod substeps;
 #[cfg(test)]
 mod two_ventricle_tests;
 

@@ -9,22 +9,30 @@
 //!
 //! $$Y(p) = Y^\ast + \delta + \sum_k (p_k - p_k^\ast)\, W_k, \qquad A\,\delta = r(Y^\ast, p^\ast), \quad A\,W_k = \partial_y V_k,$$
 //!
-//! with $A = K_T + K_{img} - \sum_k (p_k^\ast - \bar p_k)\, \partial_y^2 V_k$ As in linear kinematics the cavities' answer is affine in p and the valves give the pressures. The tangent is kept while rounds converge fast.
+//! with $A = K_T + K_{img} - \sum_k (p_k^\ast - \bar p_k)\, \partial_y^2 V_k$ As in linear
+//! kinematics the cavities' answer is affine in p and the valves give the pressures. The tangent is kept while rounds converge fast, and
+//! made convex where it is not positive definite; what a round may move is measured by the residual or by the potential, see `potential`.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
+use super::potential::Descent;
 use super::pressure_stiffness::add_pressure_stiffness;
 use super::step::{dot, net_outflow_mm3};
 use super::{HeartModel, HeartState, StepError, StepOutcome, StepWorkspace};
 use crate::circulation::{CavityResponse, ValveProblem, VentricleFlow, VentriclePorts};
-use crate::mechanics::{MechanicsError, SolvePath, SolveReport, StepLoad};
+use crate::mechanics::{Linearisation, MechanicsError, SolvePath, SolveReport, StepLoad};
+use crate::numerics::LinearSolveError;
 use crate::units::{MM3_PER_ML, mm3_from_ml};
 
-/// Rounds before a step is given up; 3–5 are usual.
+/// Rounds before a step is given up; 2–4 are usual.
 const ROUND_LIMIT: usize = 40;
 
 /// How far a round may be shortened: to a fraction of 2⁻⁸.
 const HALVING_LIMIT: i32 = 8;
+
+/// How much more residual than before a round may leave where the potential falls: near a tetrahedron without volume it falls into a
+/// wall, out of which many rounds must climb.
+const GROWTH_LIMIT: f64 = 3.0;
 
 /// A step has converged when its residual, relative to the force that moves every vertex by 1 mm on its own, is below this.
 const RESIDUAL_TOLERANCE: f64 = 1e-7;
@@ -35,24 +43,52 @@ const FORCING: f64 = 1e-3;
 /// A round that leaves more of the residual than this is followed by a new tangent.
 const KEEP_TANGENT_BELOW: f64 = 0.05;
 
+/// A round with a convex tangent that leaves less of the residual than this is followed by the exact tangent.
+const EXACT_BELOW: f64 = 0.5;
+
+/// What a round is linearised with: each is tried where the one before it is not positive definite or leads nowhere.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+enum Curvature {
+    /// All of A.
+    #[default]
+    Exact,
+    /// A with the convex tangent of every tetrahedron.
+    ConvexTissue,
+    /// The same without $\partial_y^2 V$.
+    Convex,
+}
+
+impl Curvature {
+    fn next(self) -> Option<Self> {
+        match self {
+            Self::Exact => Some(Self::ConvexTissue),
+            Self::ConvexTissue => Some(Self::Convex),
+            Self::Convex => None,
+        }
+    }
+}
+
 /// Memory of Newton's method.
 #[derive(Debug, Default)]
 pub(super) struct NewtonWorkspace {
     /// r, then ∂V, in; δ, then W, out.
     columns: Vec<Vec<Vector3<f64>>>,
     /// r at the trial, mN.
-    residual_mn: Vec<Vector3<f64>>,
+    pub(super) residual_mn: Vec<Vector3<f64>>,
     /// Y(p) − Y*, mm.
-    direction_mm: Vec<Vector3<f64>>,
-    candidate_mm: Vec<Vector3<f64>>,
+    pub(super) direction_mm: Vec<Vector3<f64>>,
+    pub(super) candidate_mm: Vec<Vector3<f64>>,
     /// p* a ventricle, kPa.
-    pressure_kpa: Vec<f64>,
+    pub(super) pressure_kpa: Vec<f64>,
+    curvature: Curvature,
+    /// Whether the tangent serves another round.
+    is_tangent_good: bool,
 }
 
 /// What a step of Newton's method is held against.
-struct Goal<'a> {
-    before_mm3: &'a [f64],
-    ports: &'a [VentriclePorts],
+pub(super) struct Goal<'a> {
+    pub(super) before_mm3: &'a [f64],
+    pub(super) ports: &'a [VentriclePorts],
     residual_mn: f64,
     volume_mm3: f64,
 }
@@ -66,7 +102,7 @@ struct Round {
 }
 
 impl HeartModel {
-    /// One step as [`HeartModel::step`].
+    /// One step as [`HeartModel::step`], of the model's length and whole.
     pub(super) fn newton_step(
         &self,
         state: &HeartState,
@@ -85,20 +121,28 @@ impl HeartModel {
         };
         let mut residual_mn = self.start(state, workspace).map_err(mechanics)?;
         let mut solve = SolveReport { path: SolvePath::Direct, iteration_count: 0, relative_residual: 0.0, was_refactorised: false };
-        let mut is_tangent_good = false;
         let mut defect_mm3 = f64::INFINITY;
         for round_count in 1..=ROUND_LIMIT {
-            let report = self.solve_round(state, is_tangent_good, workspace).map_err(mechanics)?;
+            let report = self.solve_round(state, workspace).map_err(mechanics)?;
             solve = SolveReport { iteration_count: solve.iteration_count + report.iteration_count, ..report };
-            let Some(round) = self.take_round(state, &goal, residual_mn, workspace)? else { break };
+            let Some(round) = self.take_round(state, &goal, residual_mn, workspace)? else {
+                let Some(curvature) = workspace.newton.curvature.next() else { break };
+                (workspace.newton.curvature, workspace.newton.is_tangent_good) = (curvature, false);
+                residual_mn = self.stay(state, workspace).map_err(mechanics)?;
+                continue;
+            };
             let after_mm3 = self.volumes_mm3(&workspace.trial_mm);
             self.check_distance(state, &workspace.trial_mm)?;
             defect_mm3 = round.defect_mm3;
-            is_tangent_good = round.is_full && round.residual_mn < KEEP_TANGENT_BELOW * residual_mn;
+            workspace.newton.is_tangent_good = round.is_full && round.residual_mn < KEEP_TANGENT_BELOW * residual_mn;
+            if round.is_full && round.residual_mn < EXACT_BELOW * residual_mn && workspace.newton.curvature != Curvature::Exact {
+                (workspace.newton.curvature, workspace.newton.is_tangent_good) = (Curvature::Exact, false);
+            }
             residual_mn = round.residual_mn;
             if round.is_full && residual_mn <= goal.residual_mn && defect_mm3 <= goal.volume_mm3 {
                 let state = self.next_state(state, workspace, &round.flows, &after_mm3);
-                return Ok(StepOutcome { state, round_count, volume_defect_ml: defect_mm3 / MM3_PER_ML, solve });
+                let volume_defect_ml = defect_mm3 / MM3_PER_ML;
+                return Ok(StepOutcome { state, round_count, substep_count: 1, volume_defect_ml, solve });
             }
         }
         let tolerance_mn = goal.residual_mn;
@@ -114,54 +158,82 @@ impl HeartModel {
             self.operator.update_force(&workspace.trial_mm, &mut workspace.system)?;
         }
         let newton = &mut workspace.newton;
+        (newton.curvature, newton.is_tangent_good) = (Curvature::Exact, false);
         newton.pressure_kpa.clear();
         newton.pressure_kpa.extend(state.ventricles.iter().map(|ventricle| ventricle.pressure_kpa));
-        newton.candidate_mm.clone_from(&workspace.trial_mm);
         newton.direction_mm.clone_from(&workspace.trial_mm);
         newton.residual_mn.clone_from(&workspace.trial_mm);
-        let pressure_kpa = newton.pressure_kpa.clone();
-        self.balance(state, &pressure_kpa, workspace)
+        newton.candidate_mm.clone_from(&workspace.trial_mm);
+        self.balance(state, workspace)
     }
 
-    /// Writes ∂V at the candidate and r there, and gives the norm of r.
-    fn balance(&self, state: &HeartState, pressure_kpa: &[f64], workspace: &mut StepWorkspace) -> Result<f64, MechanicsError> {
+    /// Takes forces and r back to the trial, which a round has not left.
+    fn stay(&self, state: &HeartState, workspace: &mut StepWorkspace) -> Result<f64, MechanicsError> {
+        workspace.newton.candidate_mm.clone_from(&workspace.trial_mm);
+        self.operator.update_force(&workspace.trial_mm, &mut workspace.system)?;
+        self.balance(state, workspace)
+    }
+
+    /// Writes ∂V at the candidate and r there under p*, and gives the norm of r.
+    fn balance(&self, state: &HeartState, workspace: &mut StepWorkspace) -> Result<f64, MechanicsError> {
         let StepWorkspace { system, gradients_mm2, newton, .. } = workspace;
         self.operator.residual(system, &mut newton.residual_mn)?;
         for (ventricle, (_, cavity)) in self.anatomy.cavities.iter().enumerate() {
             let gradient_mm2 = &mut gradients_mm2[ventricle];
             gradient_mm2.fill(Vector3::zeros());
             cavity.add_gradient(&newton.candidate_mm, 1.0, gradient_mm2);
-            let over_kpa = pressure_kpa[ventricle] - state.ventricles[ventricle].rest_pressure_kpa;
+            let over_kpa = newton.pressure_kpa[ventricle] - state.ventricles[ventricle].rest_pressure_kpa;
             newton.residual_mn.iter_mut().zip(gradient_mm2.iter()).for_each(|(residual, gradient)| *residual += gradient * over_kpa);
         }
         Ok(dot(&newton.residual_mn, &newton.residual_mn).sqrt())
     }
 
-    /// δ, and W where the tangent is new.
-    fn solve_round(&self, state: &HeartState, is_tangent_good: bool, workspace: &mut StepWorkspace) -> Result<SolveReport, MechanicsError> {
-        let StepWorkspace { solver, system, trial_mm, gradients_mm2, yields_mm_per_kpa, newton, .. } = workspace;
-        if !is_tangent_good {
-            self.operator.linearise(trial_mm, system)?;
-            if let Some(tangent) = &mut system.tangent {
-                for (ventricle, (_, cavity)) in self.anatomy.cavities.iter().enumerate() {
-                    let over_kpa = newton.pressure_kpa[ventricle] - state.ventricles[ventricle].rest_pressure_kpa;
-                    add_pressure_stiffness(cavity, trial_mm, over_kpa, tangent);
-                }
+    /// δ, and W where the tangent is new; with a preconditioner of its own, then with a tangent that is more convex, where it must be.
+    fn solve_round(&self, state: &HeartState, workspace: &mut StepWorkspace) -> Result<SolveReport, MechanicsError> {
+        let mut is_renewed = false;
+        loop {
+            if !workspace.newton.is_tangent_good {
+                self.linearise(state, workspace)?;
             }
+            let StepWorkspace { solver, system, gradients_mm2, yields_mm_per_kpa, newton, .. } = workspace;
+            let column_count = if newton.is_tangent_good { 1 } else { 1 + gradients_mm2.len() };
+            newton.columns.resize_with(1 + gradients_mm2.len(), Vec::new);
+            newton.columns[0].clone_from(&newton.residual_mn);
+            newton.columns[1..].iter_mut().zip(gradients_mm2).for_each(|(column, gradient)| column.clone_from(gradient));
+            let error = match solver.correct(&self.operator, system, &mut newton.columns[..column_count], FORCING) {
+                Ok(report) if column_count == 1 => return Ok(report),
+                Ok(report) => {
+                    yields_mm_per_kpa.iter_mut().zip(&newton.columns[1..]).for_each(|(yielded, column)| yielded.clone_from(column));
+                    return Ok(report);
+                }
+                Err(error) => error,
+            };
+            newton.is_tangent_good = false;
+            match (&error, newton.curvature.next()) {
+                (MechanicsError::Solve(LinearSolveError::NotConverged { .. }), _) if !is_renewed => is_renewed = true,
+                (MechanicsError::NotConvex | MechanicsError::Solve(_), Some(curvature)) => newton.curvature = curvature,
+                _ => return Err(error),
+            }
+            solver.forget_preconditioner();
         }
-        let column_count = if is_tangent_good { 1 } else { 1 + gradients_mm2.len() };
-        newton.columns.resize_with(1 + gradients_mm2.len(), Vec::new);
-        newton.columns[0].clone_from(&newton.residual_mn);
-        newton.columns[1..].iter_mut().zip(gradients_mm2).for_each(|(column, gradient)| column.clone_from(gradient));
-        let report = solver.correct(&self.operator, system, &mut newton.columns[..column_count], FORCING)?;
-        if !is_tangent_good {
-            yields_mm_per_kpa.iter_mut().zip(&newton.columns[1..]).for_each(|(yielded, column)| yielded.clone_from(column));
-        }
-        Ok(report)
     }
 
-    /// Lets the valves find the pressures and takes the trial there, or part of the way where the balance is far from its linearisation
-    /// or a tetrahedron would turn inside out. None if no part of the way will do.
+    /// A at the trial.
+    fn linearise(&self, state: &HeartState, workspace: &mut StepWorkspace) -> Result<(), MechanicsError> {
+        let StepWorkspace { system, trial_mm, newton, .. } = workspace;
+        let linearisation = if newton.curvature == Curvature::Exact { Linearisation::Exact } else { Linearisation::Convex };
+        self.operator.linearise(trial_mm, linearisation, system)?;
+        if let Some(tangent) = system.tangent.as_mut().filter(|_| newton.curvature != Curvature::Convex) {
+            for (ventricle, (_, cavity)) in self.anatomy.cavities.iter().enumerate() {
+                let over_kpa = newton.pressure_kpa[ventricle] - state.ventricles[ventricle].rest_pressure_kpa;
+                add_pressure_stiffness(cavity, trial_mm, over_kpa, tangent);
+            }
+        }
+        Ok(())
+    }
+
+    /// Lets the valves find the pressures and takes the trial there, or part of the way: as far as the residual falls about as its
+    /// linearisation does, or the potential falls, and no tetrahedron turns inside out. None if no part of the way will do.
     fn take_round(
         &self,
         state: &HeartState,
@@ -178,6 +250,7 @@ impl HeartModel {
         let start_kpa = workspace.newton.pressure_kpa.clone();
         let change_kpa: Vec<f64> = flows.iter().zip(&start_kpa).map(|(flow, start)| flow.pressure_kpa - start).collect();
         workspace.write_direction(&change_kpa);
+        let descent = Descent::new(self, goal, workspace).map_err(mechanics)?;
         // What the linearised forces change by on the whole way.
         let linear_mn: f64 =
             change_kpa.iter().zip(&workspace.gradients_mm2).map(|(change, gradient)| change.abs() * dot(gradient, gradient).sqrt()).sum();
@@ -187,16 +260,18 @@ impl HeartModel {
             if self.operator.update_force(&workspace.newton.candidate_mm, &mut workspace.system).is_err() {
                 continue;
             }
-            let pressure_kpa: Vec<f64> = start_kpa.iter().zip(&change_kpa).map(|(start, change)| start + change * part).collect();
-            let residual_mn = self.balance(state, &pressure_kpa, workspace).map_err(mechanics)?;
+            let pressure_kpa = &mut workspace.newton.pressure_kpa;
+            pressure_kpa.iter_mut().zip(start_kpa.iter().zip(&change_kpa)).for_each(|(p, (start, change))| *p = start + change * part);
+            let residual_mn = self.balance(state, workspace).map_err(mechanics)?;
             let is_near = residual_mn <= (1.0 - 0.5 * part) * (before_mn + part * linear_mn) || residual_mn <= goal.residual_mn;
-            if is_near {
+            let is_tame = residual_mn <= GROWTH_LIMIT * (before_mn + linear_mn);
+            if is_near || is_tame && descent.is_met(part, self, state, goal, workspace).map_err(mechanics)? {
                 workspace.trial_mm.copy_from_slice(&workspace.newton.candidate_mm);
-                workspace.newton.pressure_kpa = pressure_kpa;
                 let defect_mm3 = self.volume_defect_mm3(goal, &flows, &workspace.trial_mm);
                 return Ok(Some(Round { flows, residual_mn, defect_mm3, is_full: halving == 0 }));
             }
         }
+        workspace.newton.pressure_kpa = start_kpa;
         Ok(None)
     }
 

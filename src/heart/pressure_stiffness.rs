@@ -29,7 +29,7 @@ mod tests {
     use super::super::idealised_lv::IdealisedLv;
     use super::*;
     use crate::heart::{HeartModel, ModelSettings, Parameters};
-    use crate::mechanics::Kinematics;
+    use crate::mechanics::{Kinematics, Linearisation};
     use std::sync::Arc;
 
     /// Everywhere, also at the rim, whose vertices carry the lid's centre: the force is a polynomial of second degree, so its central
@@ -46,7 +46,7 @@ mod tests {
         let mut system = model.operator.empty_system();
         model.operator.assemble(&model.initial_state(0.0).motion, None, &mut system).unwrap();
         let mut product = |pressure_kpa: f64| {
-            model.operator.linearise(&position, &mut system).unwrap();
+            model.operator.linearise(&position, Linearisation::Exact, &mut system).unwrap();
             add_pressure_stiffness(cavity, &position, pressure_kpa, system.tangent.as_mut().unwrap());
             let mut product = vec![Vector3::zeros(); position.len()];
             model.operator.multiply(&system, &change, &mut product).unwrap();

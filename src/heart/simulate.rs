@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use nalgebra::Vector3;
 
-use super::{CurveRow, HeartModel, HeartState, StepError};
+use super::{CurveRow, HeartModel, HeartState, StepError, StepOutcome};
 use crate::mechanics::StepLoad;
 use crate::units::ml_from_mm3;
 
@@ -39,6 +39,8 @@ pub struct Trajectory {
     pub curves: Vec<CurveRow>,
     /// One a frame time within the simulation.
     pub frames: Vec<FrameState>,
+    /// Steps that were taken in parts because the whole did not converge.
+    pub divided_step_count: usize,
     /// Where it ended.
     pub last: HeartState,
     /// Whether the observer stopped it before its end.
@@ -75,14 +77,16 @@ pub fn simulate_from(
     let mut workspace = model.workspace();
     let first_frame_s = start.time_s - 1e-9 * step_s;
     let mut frame_times = plan.frame_times_s.iter().copied().filter(|&t| t >= first_frame_s).peekable();
-    let mut trajectory = Trajectory { curves: Vec::with_capacity(step_count + 1), frames: Vec::new(), last: start, stopped: false };
+    let mut trajectory =
+        Trajectory { curves: Vec::with_capacity(step_count + 1), frames: Vec::new(), divided_step_count: 0, last: start, stopped: false };
     trajectory.curves.push(trajectory.last.curve_row());
     trajectory.stopped = observer(&trajectory.last, &trajectory.curves[0]).is_break();
     for _ in 0..step_count {
         if trajectory.stopped {
             break;
         }
-        let next = model.step(&trajectory.last, loads, &mut workspace)?.state;
+        let StepOutcome { state: next, substep_count, .. } = model.step(&trajectory.last, loads, &mut workspace)?;
+        trajectory.divided_step_count += usize::from(substep_count > 1);
         while let Some(time_s) = frame_times.next_if(|&t| t <= next.time_s + 1e-9 * step_s) {
             trajectory.frames.push(FrameState::between(&trajectory.last, &next, time_s));
         }

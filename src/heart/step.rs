@@ -12,13 +12,17 @@
 use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::newton::NewtonWorkspace;
+use super::substeps::FinerHeart;
 use super::{HeartModel, HeartState, PressureLoad, StepError, VentricleState};
 use crate::circulation::{CavityResponse, CirculationError, ValveProblem, VentricleFlow, VentriclePorts};
-use crate::mechanics::{Kinematics, MechanicsError, SolveReport, StepLoad, StepSolver, StepSystem};
+use crate::mechanics::{Kinematics, MechanicsError, SolveReport, SolveSettings, StepLoad, StepSolver, StepSystem};
 use crate::units::{MM3_PER_ML, mm3_from_ml};
 
 /// Rounds of the volume linearisation before a step is given up; 2–4 are usual.
 const ROUND_LIMIT: usize = 25;
+
+/// Iterations after which a tangent is given up: another preconditioner or a convex tangent is cheaper.
+const TANGENT_ITERATION_LIMIT: usize = 100;
 
 /// Farther from rest than this a vertex counts as blown up, mm.
 const DISTANCE_LIMIT_MM: f64 = 500.0;
@@ -40,6 +44,9 @@ pub struct StepWorkspace {
     /// W, mm/kPa, one a cavity.
     pub(super) yields_mm_per_kpa: Vec<Vec<Vector3<f64>>>,
     pub(super) newton: NewtonWorkspace,
+    /// How often its model's step has been halved, and what halves it once more.
+    pub(super) halving: usize,
+    pub(super) finer: Option<Box<FinerHeart>>,
 }
 
 /// The end of a step and the work it took.
@@ -49,6 +56,8 @@ pub struct StepOutcome {
     pub state: HeartState,
     /// Rounds of the volume linearisation.
     pub round_count: usize,
+    /// Parts that a step of corotational kinematics was taken in: 1 unless the whole did not converge.
+    pub substep_count: usize,
     /// Largest difference between a cavity's volume and what its valves let through, mL.
     pub volume_defect_ml: f64,
     /// How the system was solved the first time.
@@ -60,7 +69,7 @@ impl HeartModel {
     pub fn workspace(&self) -> StepWorkspace {
         let zeros = || vec![Vector3::zeros(); self.anatomy.mesh.vertex_count()];
         StepWorkspace {
-            solver: StepSolver::default(),
+            solver: StepSolver::new(self.solve_settings()),
             system: self.operator.empty_system(),
             anchors_mm: Vec::new(),
             fraction: Vec::new(),
@@ -70,6 +79,16 @@ impl HeartModel {
             gradients_mm2: self.ventricles.iter().map(|_| zeros()).collect(),
             yields_mm_per_kpa: self.ventricles.iter().map(|_| zeros()).collect(),
             newton: NewtonWorkspace::default(),
+            halving: 0,
+            finer: None,
+        }
+    }
+
+    /// A tangent is given up sooner than a step of linear kinematics, which has no other.
+    fn solve_settings(&self) -> SolveSettings {
+        match self.settings.kinematics {
+            Kinematics::Linear => SolveSettings::default(),
+            Kinematics::Corotational => SolveSettings { iteration_limit: TANGENT_ITERATION_LIMIT, ..SolveSettings::default() },
         }
     }
 
@@ -80,7 +99,10 @@ impl HeartModel {
     pub fn step(&self, state: &HeartState, data: &[&dyn StepLoad], workspace: &mut StepWorkspace) -> Result<StepOutcome, StepError> {
         match self.settings.kinematics {
             Kinematics::Linear => self.linear_step(state, data, workspace),
-            Kinematics::Corotational => self.newton_step(state, data, workspace),
+            Kinematics::Corotational => match self.newton_step(state, data, workspace) {
+                Err(error) => self.halved_step(state, data, workspace, error),
+                done => done,
+            },
         }
     }
 
@@ -110,7 +132,7 @@ impl HeartModel {
                 (0..flows.len()).map(|v| (after_mm3[v] - before_mm3[v] + net_outflow_mm3(&flows[v], step_s)).abs()).fold(0.0, f64::max);
             if defect_mm3 <= mm3_from_ml(self.settings.volume_tolerance_ml) {
                 let state = self.next_state(state, workspace, &flows, &after_mm3);
-                return Ok(StepOutcome { state, round_count, volume_defect_ml: defect_mm3 / MM3_PER_ML, solve });
+                return Ok(StepOutcome { state, round_count, substep_count: 1, volume_defect_ml: defect_mm3 / MM3_PER_ML, solve });
             }
         }
         Err(StepError::VolumeNotMet { time_s, step_s, round_count: ROUND_LIMIT, volume_defect_ml: defect_mm3 / MM3_PER_ML })

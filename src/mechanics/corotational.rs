@@ -12,7 +12,7 @@
 //!
 //! $$b = -\ln x + (x - 1) - \tfrac12 (x - 1)^2 \quad (x < 1), \qquad b = 0 \quad (x \ge 1).$$
 
-use nalgebra::{Matrix3, Matrix3x6, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix3x6, Matrix6, SMatrix, Vector3, Vector6};
 
 use super::TransverseIsotropy;
 
@@ -21,6 +21,9 @@ const POLAR_LIMIT: usize = 40;
 
 /// J₀, the part of its volume below which a tetrahedron is held open.
 const GUARDED_VOLUME: f64 = 0.5;
+
+/// Least eigenvalue of a stretching that was not convex, beside its largest.
+const LEAST_CONVEX: f64 = 1e-3;
 
 /// What a point obeys during one step.
 ///
@@ -49,30 +52,28 @@ pub(super) struct Polar {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct DeformedPoint {
     polar: Polar,
-    jacobian: f64,
-    /// T = a D : (U − Ū), kPa.
+    /// ψ, kPa (= mN·mm/mm³).
+    pub(super) energy_kpa: f64,
+    /// T = a D : (U − Ū) and the guard's share, kPa.
     biot_kpa: Matrix3<f64>,
     /// G⁻¹ with G = tr(U) I − U, see [`Polar::spin`].
     spin: Matrix3<f64>,
     /// n = G⁻¹ ax(U T − T U), kPa; zero where T and U share their axes.
     twist_kpa: Vector3<f64>,
+    /// κ ∂b/∂J and κ ∂²b/∂J², kPa; None where the tetrahedron needs no guard.
+    guard_kpa: Option<(f64, f64)>,
 }
 
-/// The second derivative of the energy of the stretch as a form in the stretching dU (xx, yy, zz, yz, xz, xy) and the spin ω.
-#[derive(Debug, Clone, Copy)]
+/// Three changes of the deformation gradient in columns: the stretching dU (xx, yy, zz, yz, xz, xy), then the spin ω in its rotated frame.
+pub(super) type Changes = SMatrix<f64, 9, 3>;
+
+/// The second derivative of the energy as a form in [`Changes`], kPa.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct SecondDerivative {
-    normal_kpa: Matrix3<f64>,
-    /// Of yz, xz and xy.
-    shear_kpa: Vector3<f64>,
+    /// dU : ∂T/∂U : dU.
+    stretching_kpa: Matrix6<f64>,
     coupling_kpa: Matrix3x6<f64>,
-    geometric_kpa: Matrix3<f64>,
-}
-
-/// A change of the deformation gradient in the rotated frame.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Change {
-    stretching: Vector6<f64>,
-    spin: Vector3<f64>,
+    spin_kpa: Matrix3<f64>,
 }
 
 impl Polar {
@@ -118,56 +119,42 @@ impl DeformedPoint {
     pub(super) fn new(gradient: &Matrix3<f64>, law: PointLaw<'_>) -> Option<Self> {
         let polar = Polar::new(gradient)?;
         let stretch = &polar.stretch;
-        let biot_kpa = law.material.stress_kpa(&(stretch - law.rest_stretch)) * law.stiffening;
+        let strain = stretch - law.rest_stretch;
+        let mut biot_kpa = law.material.stress_kpa(&strain) * law.stiffening;
+        let mut energy_kpa = strain.dot(&biot_kpa) / 2.0 + stretch.column(0).norm_squared() * law.tension_kpa / 2.0;
         let spin = polar.spin();
         let twist_kpa = spin * axial(&(stretch * biot_kpa - biot_kpa * stretch));
-        Some(Self { polar, jacobian: gradient.determinant(), biot_kpa, spin, twist_kpa })
-    }
-
-    /// ψ, kPa (= mN·mm/mm³).
-    pub(super) fn energy_kpa(&self, law: PointLaw<'_>) -> f64 {
-        let elastic = (self.polar.stretch - law.rest_stretch).component_mul(&self.biot_kpa).sum() / 2.0;
-        let fibre = self.polar.stretch.column(0).norm_squared() * law.tension_kpa / 2.0;
-        let x = self.jacobian / GUARDED_VOLUME;
-        let guard = if x < 1.0 { law.material.bulk_kpa() * (x - 1.0 - x.ln() - (x - 1.0).powi(2) / 2.0) } else { 0.0 };
-        elastic + fibre + guard
+        let cofactor = cofactor(stretch);
+        let x = stretch.column(0).dot(&cofactor.column(0)) / GUARDED_VOLUME;
+        let guard_kpa = (x < 1.0).then(|| {
+            let bulk_kpa = law.material.bulk_kpa();
+            let (first, second) = (bulk_kpa / GUARDED_VOLUME, bulk_kpa / (GUARDED_VOLUME * GUARDED_VOLUME));
+            energy_kpa += bulk_kpa * (x - 1.0 - x.ln() - (x - 1.0).powi(2) / 2.0);
+            (first * (2.0 - 1.0 / x - x), second * (1.0 / (x * x) - 1.0))
+        });
+        if let Some((slope, _)) = guard_kpa {
+            biot_kpa += cofactor * slope;
+        }
+        Some(Self { polar, energy_kpa, biot_kpa, spin, twist_kpa, guard_kpa })
     }
 
     /// First Piola–Kirchhoff stress $P = \partial\psi/\partial F$, kPa: $R\,(T + [n]_\times)$ of the stretch, where $[n]_\times$ is
-    /// what its spin works against if T and U do not share their axes (anisotropic tissue), $\sigma_C F e_f e_f^\top$ of the fibre, and
-    /// $\kappa b'\,\mathrm{cof} F$.
+    /// what its spin works against if T and U do not share their axes (anisotropic tissue), and $\sigma_C F e_f e_f^\top$ of the fibre.
+    /// T has the guard's $\kappa b'\,\mathrm{cof}\,U$, which shares the axes of U.
     pub(super) fn stress_kpa(&self, law: PointLaw<'_>) -> Matrix3<f64> {
         let mut local = self.biot_kpa + self.twist_kpa.cross_matrix();
         local.set_column(0, &(local.column(0) + self.polar.stretch.column(0) * law.tension_kpa));
-        if self.jacobian < GUARDED_VOLUME {
-            local += cofactor(&self.polar.stretch) * self.guard(law).0;
-        }
         self.polar.rotation * local
     }
 
-    /// R and U.
-    pub(super) fn polar(&self) -> &Polar {
-        &self.polar
-    }
-
-    /// $\kappa\,\partial b/\partial J$ and $\kappa\,\partial^2 b/\partial J^2$, kPa; None where the tetrahedron needs no guard.
-    pub(super) fn guard_derivatives(&self, law: PointLaw<'_>) -> Option<(f64, f64)> {
-        (self.jacobian < GUARDED_VOLUME).then(|| self.guard(law))
-    }
-
-    fn guard(&self, law: PointLaw<'_>) -> (f64, f64) {
-        let x = self.jacobian / GUARDED_VOLUME;
-        let scale = law.material.bulk_kpa() / GUARDED_VOLUME;
-        (scale * (2.0 - 1.0 / x - x), scale / GUARDED_VOLUME * (1.0 / (x * x) - 1.0))
-    }
-
-    /// $d^2\psi = dU : aD : dU + 2\,\omega\cdot C(dU) + \omega\cdot W\omega$ of the stretch, with
+    /// $d^2\psi = dU : \partial_U T : dU + 2\,\omega\cdot C(dU) + \omega\cdot W\omega$, of the stretch with
     /// $C(dU) = \mathrm{ax}(dU\,T - T\,dU) + dU\,n - n\,\mathrm{tr}\,dU$ and
-    /// $W = \mathrm{tr}(TU) I - \mathrm{sym}(TU) - \mathrm{sym}([n]_\times U)$.
+    /// $W = \mathrm{tr}(TU) I - \mathrm{sym}(TU) - \mathrm{sym}([n]_\times U)$; of the fibre
+    /// $\sigma_C |\omega \times U e_f + dU e_f|^2$.
     pub(super) fn second_derivative(&self, law: PointLaw<'_>) -> SecondDerivative {
         let (t, n, u) = (&self.biot_kpa, &self.twist_kpa, &self.polar.stretch);
         let (yz, xz, xy) = (t[(1, 2)], t[(0, 2)], t[(0, 1)]);
-        let coupling_kpa = Matrix3x6::from_columns(&[
+        let mut coupling_kpa = Matrix3x6::from_columns(&[
             Vector3::new(0.0, xz - n.y, -xy - n.z),
             Vector3::new(-yz - n.x, 0.0, xy - n.z),
             Vector3::new(yz - n.x, -xz - n.y, 0.0),
@@ -176,49 +163,94 @@ impl DeformedPoint {
             Vector3::new(n.y - xz, yz + n.x, t[(0, 0)] - t[(1, 1)]),
         ]);
         let product = (t + n.cross_matrix()) * u;
-        let geometric_kpa = Matrix3::identity() * product.trace() - (product + product.transpose()) / 2.0;
+        let mut spin_kpa = Matrix3::identity() * product.trace() - (product + product.transpose()) / 2.0;
+        let mut stretching_kpa = Matrix6::zeros();
+        stretching_kpa.fixed_view_mut::<3, 3>(0, 0).copy_from(&(law.material.normal_kpa() * law.stiffening));
         let shear = law.material.shear_kpa();
-        SecondDerivative {
-            normal_kpa: law.material.normal_kpa() * law.stiffening,
-            shear_kpa: Vector3::new(shear[(1, 2)], shear[(0, 2)], shear[(0, 1)]) * (4.0 * law.stiffening),
-            coupling_kpa,
-            geometric_kpa,
+        for (index, place) in [(1, 2), (0, 2), (0, 1)].into_iter().enumerate() {
+            stretching_kpa[(3 + index, 3 + index)] = shear[place] * (4.0 * law.stiffening);
         }
+        if let Some((slope, curvature)) = self.guard_kpa {
+            let c = cofactor(u);
+            let volume = Vector6::new(c[(0, 0)], c[(1, 1)], c[(2, 2)], 2.0 * c[(1, 2)], 2.0 * c[(0, 2)], 2.0 * c[(0, 1)]);
+            stretching_kpa += volume * volume.transpose() * curvature + second_derivative_of_determinant(u) * slope;
+        }
+        let fibre = u.column(0).into_owned();
+        spin_kpa += (Matrix3::identity() * fibre.norm_squared() - fibre * fibre.transpose()) * law.tension_kpa;
+        let crossed = fibre.cross_matrix() * law.tension_kpa;
+        // dU e_f is made of xx, xy and xz.
+        for (axis, index) in [0, 5, 4].into_iter().enumerate() {
+            stretching_kpa[(index, index)] += law.tension_kpa;
+            coupling_kpa.set_column(index, &(coupling_kpa.column(index) + crossed.column(axis)));
+        }
+        SecondDerivative { stretching_kpa, coupling_kpa, spin_kpa }
     }
 
-    /// The change that `R e gᵀ` is, for the axis e of the rotated frame.
-    pub(super) fn change(&self, axis: usize, gradient: &Vector3<f64>) -> Change {
-        let (u, g, mut crossed) = (&self.polar.stretch, gradient, Vector3::zeros());
-        let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
-        (crossed[next], crossed[last]) = (g[last], -g[next]);
-        let spin = self.spin * crossed;
-        let [x, y, z] = [0, 1, 2].map(|column| spin.cross(&u.column(column)));
-        let mut stretching = Vector6::new(-x.x, -y.y, -z.z, -(z.y + y.z) / 2.0, -(z.x + x.z) / 2.0, -(y.x + x.y) / 2.0);
-        stretching[axis] += g[axis];
-        stretching[3 + next] += g[last] / 2.0;
-        stretching[3 + last] += g[next] / 2.0;
-        Change { stretching, spin }
+    /// The changes that `eᵢ gᵀ` are, for the three axes of the world.
+    pub(super) fn changes(&self, gradient: &Vector3<f64>) -> Changes {
+        let (u, g) = (&self.polar.stretch, gradient);
+        let spins = self.spin * g.cross_matrix();
+        let mut changes = Changes::zeros();
+        for axis in 0..3 {
+            let spin = spins.column(axis);
+            let [x, y, z] = [0, 1, 2].map(|column| spin.cross(&u.column(column)));
+            let mut stretching = Vector6::new(-x.x, -y.y, -z.z, -(z.y + y.z) / 2.0, -(z.x + x.z) / 2.0, -(y.x + x.y) / 2.0);
+            let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
+            stretching[axis] += g[axis];
+            stretching[3 + next] += g[last] / 2.0;
+            stretching[3 + last] += g[next] / 2.0;
+            changes.fixed_view_mut::<6, 1>(0, axis).copy_from(&stretching);
+            changes.fixed_view_mut::<3, 1>(6, axis).copy_from(&spin);
+        }
+        changes * self.polar.rotation.transpose()
     }
 }
 
 impl SecondDerivative {
-    /// The form applied to one change: what a second one is multiplied with.
-    pub(super) fn times(&self, change: &Change) -> Change {
-        let normal = self.normal_kpa * change.stretching.fixed_rows::<3>(0);
-        let shear = self.shear_kpa.component_mul(&change.stretching.fixed_rows::<3>(3));
-        let mut stretching = self.coupling_kpa.tr_mul(&change.spin);
-        for i in 0..3 {
-            stretching[i] += normal[i];
-            stretching[3 + i] += shear[i];
+    /// The form applied to changes: what second ones are multiplied with.
+    pub(super) fn times(&self, changes: &Changes) -> Changes {
+        let (stretching, spin) = (changes.fixed_rows::<6>(0), changes.fixed_rows::<3>(6));
+        let mut product = Changes::zeros();
+        product.fixed_rows_mut::<6>(0).copy_from(&(self.stretching_kpa * stretching + self.coupling_kpa.tr_mul(&spin)));
+        product.fixed_rows_mut::<3>(6).copy_from(&(self.coupling_kpa * stretching + self.spin_kpa * spin));
+        product
+    }
+
+    /// The nearest form by its spin that is nowhere negative; this one where it is not. The stretching costs energy, $D \succ 0$ (but
+    /// where a guarded volume says otherwise), so a form is positive where its Schur complement is, $S = W - C D^{-1} C^\top$ of three
+    /// rows: the negative eigenvalues of S go \[Teran2005\].
+    pub(super) fn convex_part(mut self) -> Self {
+        let cholesky = self.stretching_kpa.cholesky().or_else(|| {
+            let mut eigen = self.stretching_kpa.symmetric_eigen();
+            let least = eigen.eigenvalues.amax() * LEAST_CONVEX;
+            eigen.eigenvalues.apply(|value| *value = value.max(least));
+            self.stretching_kpa = eigen.recompose();
+            self.stretching_kpa.cholesky()
+        });
+        let Some(cholesky) = cholesky else { return self };
+        let schur = self.spin_kpa - self.coupling_kpa * cholesky.solve(&self.coupling_kpa.transpose());
+        if schur.cholesky().is_none() {
+            let mut eigen = schur.symmetric_eigen();
+            eigen.eigenvalues.apply(|value| *value = -value.min(0.0));
+            self.spin_kpa += eigen.recompose();
         }
-        Change { stretching, spin: self.coupling_kpa * change.stretching + self.geometric_kpa * change.spin }
+        self
     }
 }
 
-impl Change {
-    pub(super) fn dot(&self, other: &Self) -> f64 {
-        self.stretching.dot(&other.stretching) + self.spin.dot(&other.spin)
+/// $d^2 \det U = 2\,U : \mathrm{cof}(dU)$ as a form in the stretching.
+fn second_derivative_of_determinant(u: &Matrix3<f64>) -> Matrix6<f64> {
+    let mut form = Matrix6::zeros();
+    for axis in 0..3 {
+        let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
+        form[(next, last)] = u[(axis, axis)];
+        form[(3 + axis, 3 + axis)] = -2.0 * u[(axis, axis)];
+        form[(axis, 3 + axis)] = -2.0 * u[(next, last)];
+        form[(3 + next, 3 + last)] = 2.0 * u[(next, last)];
+        (form[(last, next)], form[(3 + axis, axis)]) = (form[(next, last)], form[(axis, 3 + axis)]);
+        form[(3 + last, 3 + next)] = form[(3 + next, 3 + last)];
     }
+    form
 }
 
 /// The s of a skew matrix $[s]_\times$.
@@ -227,7 +259,7 @@ fn axial(skew: &Matrix3<f64>) -> Vector3<f64> {
 }
 
 /// $\det(A)\,A^{-\top}$.
-pub(super) fn cofactor(matrix: &Matrix3<f64>) -> Matrix3<f64> {
+fn cofactor(matrix: &Matrix3<f64>) -> Matrix3<f64> {
     let [x, y, z] = [0, 1, 2].map(|column| matrix.column(column));
     Matrix3::from_columns(&[y.cross(&z), z.cross(&x), x.cross(&y)])
 }
@@ -277,10 +309,10 @@ mod tests {
         let turn = Rotation3::from_euler_angles(0.3, 1.4, -0.8);
         let point = DeformedPoint::new(&(turn * GRADIENT), law).unwrap();
         let gradient = Vector3::new(0.3, -0.5, 0.7);
+        let changes = point.changes(&gradient);
         for axis in 0..3 {
-            let change = point.polar().rotation * Vector3::ith(axis, 1.0) * gradient.transpose();
-            let expected = point.polar().stretching(&change);
-            let s = point.change(axis, &gradient).stretching;
+            let expected = point.polar.stretching(&(Vector3::ith(axis, 1.0) * gradient.transpose()));
+            let s = changes.column(axis);
             let found = Matrix3::new(s[0], s[5], s[4], s[5], s[1], s[3], s[4], s[3], s[2]);
             assert!((found - expected).norm() < 1e-14);
         }

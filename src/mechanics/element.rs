@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::corotational::{DeformedPoint, PointLaw, Polar, cofactor};
+use super::corotational::{DeformedPoint, PointLaw, Polar, SecondDerivative};
 
 /// A tetrahedron at rest. The first corner's share of everything is minus that of the other three.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,9 +14,16 @@ pub(super) struct Element {
 
 /// What a deformed element adds to the balance of forces.
 #[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct ElementForce {
+    pub(super) energy_mn_mm: f64,
+    /// The internal force $V P \nabla N_a$ at the last three corners, mN.
+    pub(super) corners_mn: [Vector3<f64>; 3],
+}
+
+/// The same with its derivative.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct ElementTangent {
-    /// The internal force at the last three corners, mN.
-    pub(super) force_mn: [Vector3<f64>; 3],
+    pub(super) force: ElementForce,
     /// Its derivative by the positions of the last three corners, mN/mm: the blocks (1,1), (1,2), (1,3), (2,2), (2,3), (3,3).
     upper_mn_per_mm: [Matrix3<f64>; 6],
 }
@@ -50,52 +57,39 @@ impl Element {
         Some(polar.stretch - polar.stretching(&self.gradient_of(velocity_mm_per_s)) / rate_per_s)
     }
 
-    /// Energy, mN·mm; None if the tetrahedron is flat or inside out.
-    pub(super) fn energy_mn_mm(&self, law: PointLaw<'_>, position_mm: [Vector3<f64>; 4]) -> Option<f64> {
-        Some(DeformedPoint::new(&self.gradient_of(position_mm), law)?.energy_kpa(law) * self.volume_mm3)
-    }
-
-    /// Internal force $V P \nabla N_a$ at the last three corners, mN; None if the tetrahedron is flat or inside out.
-    pub(super) fn force_mn(&self, law: PointLaw<'_>, position_mm: [Vector3<f64>; 4]) -> Option<[Vector3<f64>; 3]> {
+    /// Energy and internal force; None if the tetrahedron is flat or inside out.
+    pub(super) fn force(&self, law: PointLaw<'_>, position_mm: [Vector3<f64>; 4]) -> Option<ElementForce> {
         Some(self.force_of(&DeformedPoint::new(&self.gradient_of(position_mm), law)?, law))
     }
 
     /// Force and its derivative; None if the tetrahedron is flat or inside out.
     pub(super) fn tangent(&self, law: PointLaw<'_>, position_mm: [Vector3<f64>; 4]) -> Option<ElementTangent> {
+        self.tangent_of(law, position_mm, |form| form)
+    }
+
+    /// As [`Element::tangent`], of the convex part of the energy's second derivative; see [`SecondDerivative::convex_part`].
+    pub(super) fn convex_tangent(&self, law: PointLaw<'_>, position_mm: [Vector3<f64>; 4]) -> Option<ElementTangent> {
+        self.tangent_of(law, position_mm, SecondDerivative::convex_part)
+    }
+
+    fn tangent_of(
+        &self,
+        law: PointLaw<'_>,
+        position_mm: [Vector3<f64>; 4],
+        part: fn(SecondDerivative) -> SecondDerivative,
+    ) -> Option<ElementTangent> {
         let point = DeformedPoint::new(&self.gradient_of(position_mm), law)?;
-        let form = point.second_derivative(law);
-        let changes = self.gradients.map(|gradient| [0, 1, 2].map(|axis| point.change(axis, &gradient)));
-        let products = changes.map(|corner| corner.map(|change| form.times(&change)));
-        let rotation = &point.polar().rotation;
-        let guard = self.guard(&point, law);
-        let upper_mn_per_mm = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)].map(|(a, b)| {
-            let mut block = Matrix3::from_fn(|i, j| changes[a][i].dot(&products[b][j]));
-            let along_fibre = self.gradients[a].x * self.gradients[b].x * law.tension_kpa;
-            (0..3).for_each(|i| block[(i, i)] += along_fibre);
-            if let Some(guard) = &guard {
-                block += guard(a, b);
-            }
-            rotation * (block * self.volume_mm3) * rotation.transpose()
-        });
-        Some(ElementTangent { force_mn: self.force_of(&point, law), upper_mn_per_mm })
+        let form = part(point.second_derivative(law));
+        let changes = self.gradients.map(|gradient| point.changes(&gradient));
+        let products = changes.map(|changes| form.times(&changes) * self.volume_mm3);
+        let upper_mn_per_mm = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)].map(|(a, b)| changes[a].tr_mul(&products[b]));
+        Some(ElementTangent { force: self.force_of(&point, law), upper_mn_per_mm })
     }
 
-    fn force_of(&self, point: &DeformedPoint, law: PointLaw<'_>) -> [Vector3<f64>; 3] {
+    fn force_of(&self, point: &DeformedPoint, law: PointLaw<'_>) -> ElementForce {
         let stress_kpa = point.stress_kpa(law) * self.volume_mm3;
-        self.gradients.map(|gradient| stress_kpa * gradient)
-    }
-
-    /// The blocks of $\kappa\, d^2 b(\det F)$ in the rotated frame, kPa/mm², if the tetrahedron is guarded: with
-    /// $d\det = \mathrm{cof}U : dH$ and $d^2\det(e_i g_a^\top, e_j g_b^\top) = (e_i \times e_j)\cdot U(g_a \times g_b)$.
-    fn guard(&self, point: &DeformedPoint, law: PointLaw<'_>) -> Option<impl Fn(usize, usize) -> Matrix3<f64>> {
-        let (first, second) = point.guard_derivatives(law)?;
-        let stretch = point.polar().stretch;
-        let slopes = self.gradients.map(|gradient| cofactor(&stretch) * gradient);
-        let gradients = self.gradients;
-        Some(move |a: usize, b: usize| {
-            let bend = stretch * gradients[a].cross(&gradients[b]);
-            slopes[a] * slopes[b].transpose() * second - bend.cross_matrix() * first
-        })
+        let corners_mn = self.gradients.map(|gradient| stress_kpa * gradient);
+        ElementForce { energy_mn_mm: point.energy_kpa * self.volume_mm3, corners_mn }
     }
 }
 
@@ -115,7 +109,7 @@ mod tests {
     use super::*;
     use crate::mechanics::TransverseIsotropy;
     use crate::numerics::TaylorTest;
-    use nalgebra::{DVector, Rotation3};
+    use nalgebra::{DMatrix, DVector, Rotation3};
 
     const CORNERS: [Vector3<f64>; 4] =
         [Vector3::new(0.1, 0.0, 0.2), Vector3::new(2.0, 0.3, -0.1), Vector3::new(0.4, 1.7, 0.1), Vector3::new(0.2, 0.5, 2.2)];
@@ -150,6 +144,11 @@ mod tests {
         [0, 1, 2, 3].map(|corner| flat.fixed_rows::<3>(3 * corner).into_owned())
     }
 
+    fn dense(tangent: &ElementTangent) -> DMatrix<f64> {
+        let blocks = tangent.blocks_mn_per_mm();
+        DMatrix::from_fn(12, 12, |i, j| blocks[i / 3][j / 3][(i % 3, j % 3)])
+    }
+
     fn all_forces([b, c, d]: [Vector3<f64>; 3]) -> DVector<f64> {
         flat(&[-(b + c + d), b, c, d])
     }
@@ -162,12 +161,11 @@ mod tests {
         for (height, stiffening, tension_kpa) in [(1.2, 1.0, 0.0), (1.2, 3.0, 80.0), (0.3, 1.0, 25.0)] {
             let law = PointLaw { material: &material, stiffening, rest_stretch: &past, tension_kpa };
             let base = flat(&deformed(height));
-            let energy = |x: &DVector<f64>| element.energy_mn_mm(law, corners(x)).map(|e| DVector::from_element(1, e)).ok_or(());
-            let force = |x: &DVector<f64>| element.force_mn(law, corners(x)).map(all_forces).ok_or(());
+            let energy = |x: &DVector<f64>| element.force(law, corners(x)).map(|f| DVector::from_element(1, f.energy_mn_mm)).ok_or(());
+            let force = |x: &DVector<f64>| element.force(law, corners(x)).map(|f| all_forces(f.corners_mn)).ok_or(());
             let tangent = element.tangent(law, corners(&base)).unwrap();
-            let blocks = tangent.blocks_mn_per_mm();
-            let matrix = nalgebra::DMatrix::from_fn(12, 12, |i, j| blocks[i / 3][j / 3][(i % 3, j % 3)]);
-            assert_eq!(all_forces(tangent.force_mn), force(&base).unwrap());
+            let matrix = dense(&tangent);
+            assert_eq!(all_forces(tangent.force.corners_mn), force(&base).unwrap());
             assert!((&matrix - matrix.transpose()).norm() < 1e-12 * matrix.norm());
             for seed in 0..4 {
                 let direction = DVector::from_fn(12, |i, _| (1.7 * i as f64 + 2.3 * f64::from(seed)).sin());
@@ -179,6 +177,33 @@ mod tests {
                 assert!(orders.iter().all(|order| (order - 2.0).abs() < 0.2), "{orders:?} at height {height}");
             }
         }
+    }
+
+    /// Where the tissue is squeezed its tangent has negative eigenvalues; the convex one has none, and is the same where there were none.
+    #[test]
+    fn a_convex_tangent_is_nowhere_negative_and_the_exact_one_where_that_is_convex() {
+        let (material, (element, _)) = (material(), element(false));
+        let rest_stretch = Matrix3::identity();
+        let (mut exact_count, mut projected_count) = (0, 0);
+        for height in [0.15, 0.3, 0.45, 0.7, 0.9, 1.0, 1.2, 1.6] {
+            for tension_kpa in [0.0, 20.0, 200.0] {
+                let law = PointLaw { material: &material, stiffening: 1.0, rest_stretch: &rest_stretch, tension_kpa };
+                let exact = dense(&element.tangent(law, deformed(height)).unwrap());
+                let convex = dense(&element.convex_tangent(law, deformed(height)).unwrap());
+                let (scale, least) = (exact.norm(), exact.symmetric_eigenvalues().min());
+                let least_convex = convex.symmetric_eigenvalues().min();
+                assert!(least_convex > -1e-12 * scale, "{least_convex} at height {height}, {tension_kpa} kPa");
+                let apart = (&convex - &exact).norm() / scale;
+                if least > -1e-12 * scale {
+                    exact_count += 1;
+                    assert!(apart < 1e-12, "{apart} apart at height {height}, {tension_kpa} kPa");
+                } else {
+                    projected_count += 1;
+                    assert!(apart > 1e-12, "{least} was left at height {height}, {tension_kpa} kPa");
+                }
+            }
+        }
+        assert!(exact_count > 5 && projected_count > 5, "{exact_count} exact, {projected_count} projected");
     }
 
     #[test]
@@ -197,7 +222,7 @@ mod tests {
                     assert!((right_handed * local * right_handed.transpose() - block).norm() < 1e-12);
                 }
             }
-            assert!(tangent.force_mn.iter().all(|force| force.norm() < 1e-13));
+            assert!(tangent.force.corners_mn.iter().all(|force| force.norm() < 1e-13));
         }
     }
 
@@ -208,10 +233,10 @@ mod tests {
         let rest_stretch = Matrix3::identity();
         let law = |tension_kpa| PointLaw { material: &material, stiffening: 1.0, rest_stretch: &rest_stretch, tension_kpa };
         let turn = Rotation3::from_euler_angles(-2.0, 0.3, 1.4);
-        let still = element.force_mn(law(0.0), CORNERS.map(|x| turn * x)).unwrap();
+        let still = element.force(law(0.0), CORNERS.map(|x| turn * x)).unwrap().corners_mn;
         assert!(still.iter().all(|force| force.norm() < 1e-12));
-        let plain = element.force_mn(law(80.0), deformed(1.1)).unwrap();
-        let turned = element.force_mn(law(80.0), deformed(1.1).map(|x| turn * x)).unwrap();
+        let plain = element.force(law(80.0), deformed(1.1)).unwrap().corners_mn;
+        let turned = element.force(law(80.0), deformed(1.1).map(|x| turn * x)).unwrap().corners_mn;
         assert!(plain.iter().zip(&turned).all(|(p, t)| (turn * p - t).norm() < 1e-11));
     }
 

@@ -29,6 +29,9 @@ pub enum MechanicsError {
         "the step system is not linearised: corotational kinematics need trial positions before they are solved, and a system of their own"
     )]
     NotLinearised,
+    /// A tangent is not positive definite.
+    #[error("the tangent of the step is not positive definite; shorten the step, or stiffen the tissue")]
+    NotConvex,
     /// The linear system of a step could not be solved.
     #[error("the step system could not be solved: {0}")]
     Solve(#[from] LinearSolveError),

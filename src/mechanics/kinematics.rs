@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
 use super::corotational::PointLaw;
-use super::element::{Element, ElementTangent};
+use super::element::{Element, ElementForce, ElementTangent};
 use super::scheme::Coefficients;
 use super::{MechanicsError, MotionState, Myocardium};
 use crate::numerics::BlockMatrix;
@@ -19,6 +19,15 @@ pub enum Kinematics {
     /// The linear material in the frame of each tetrahedron's polar rotation, the fibre's tension along the deformed fibre: right
     /// where the wall turns, twists and bends, with the soft tissue that is measured. A step is a few rounds of Newton's method.
     Corotational,
+}
+
+/// Which second derivative of the energy a step is linearised with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Linearisation {
+    /// The derivative of the forces: Newton's method.
+    Exact,
+    /// That of each tetrahedron without its negative eigenvalues, so that the sum is positive definite: rounds always go downhill.
+    Convex,
 }
 
 /// Tetrahedra computed together before they are added, in order, to the system: bounds the memory of a parallel assembly, whose sums
@@ -57,13 +66,16 @@ pub struct Tangent {
     trial_mm: Vec<Vector3<f64>>,
     /// Internal forces there, mN.
     force_mn: Vec<Vector3<f64>>,
+    /// Internal energy there, mN·mm.
+    energy_mn_mm: f64,
     /// K̃, mN/mm, at the trial it was last linearised about.
     matrix: BlockMatrix,
     /// What K̃ has beside the blocks of the matrix.
     mean_stiffnesses: Vec<MeanStiffness>,
     is_linearised: bool,
+    is_convex: bool,
     stretches: Vec<Option<Matrix3<f64>>>,
-    forces: Vec<Option<[Vector3<f64>; 3]>>,
+    forces: Vec<Option<ElementForce>>,
     tangents: Vec<Option<ElementTangent>>,
 }
 
@@ -95,9 +107,11 @@ impl Tangent {
             stiffening: 1.0,
             trial_mm: vec![Vector3::zeros(); tissue.vertex_count()],
             force_mn: vec![Vector3::zeros(); tissue.vertex_count()],
+            energy_mn_mm: 0.0,
             matrix: BlockMatrix::zeros(std::sync::Arc::clone(tissue.stiffness().pattern())),
             mean_stiffnesses: Vec::new(),
             is_linearised: false,
+            is_convex: false,
             stretches: Vec::new(),
             forces: Vec::new(),
             tangents: Vec::new(),
@@ -135,9 +149,8 @@ impl Tangent {
     /// Internal forces at trial positions; the matrix stays. An error leaves the forces undefined.
     pub(super) fn update_force(&mut self, tissue: &Myocardium, trial_mm: &[Vector3<f64>]) -> Result<(), MechanicsError> {
         let mut forces = std::mem::take(&mut self.forces);
-        self.trial_mm.copy_from_slice(trial_mm);
-        self.force_mn.fill(Vector3::zeros());
-        let result = self.chunks(tissue, &mut forces, Element::force_mn, |this, corners, force| this.add_force(corners, force));
+        self.start_at(trial_mm);
+        let result = self.chunks(tissue, &mut forces, Element::force, |this, corners, force| this.add_force(corners, force));
         self.forces = forces;
         result
     }
@@ -148,15 +161,19 @@ impl Tangent {
         tissue: &Myocardium,
         constants: &CorotationalConstants,
         trial_mm: &[Vector3<f64>],
+        linearisation: Linearisation,
     ) -> Result<(), MechanicsError> {
         let mut tangents = std::mem::take(&mut self.tangents);
-        self.trial_mm.copy_from_slice(trial_mm);
-        self.force_mn.fill(Vector3::zeros());
+        self.start_at(trial_mm);
         self.matrix.clear();
         self.mean_stiffnesses.clear();
         let mut places = constants.places.iter();
-        let result = self.chunks(tissue, &mut tangents, Element::tangent, |this, corners, tangent| {
-            this.add_force(corners, &tangent.force_mn);
+        let of = match linearisation {
+            Linearisation::Exact => Element::tangent,
+            Linearisation::Convex => Element::convex_tangent,
+        };
+        let result = self.chunks(tissue, &mut tangents, of, |this, corners, tangent| {
+            this.add_force(corners, &tangent.force);
             for (place, block) in places.next().into_iter().flatten().zip(tangent.blocks_mn_per_mm().as_flattened()) {
                 this.matrix.add_block_at(*place as usize, block);
             }
@@ -164,30 +181,37 @@ impl Tangent {
         constants.diagonal_mn_per_mm.iter().enumerate().for_each(|(vertex, block)| self.matrix.add_to_diagonal(vertex, block));
         self.tangents = tangents;
         self.is_linearised = result.is_ok();
+        self.is_convex = linearisation == Linearisation::Convex;
         result
     }
 
+    fn start_at(&mut self, trial_mm: &[Vector3<f64>]) {
+        self.trial_mm.copy_from_slice(trial_mm);
+        self.force_mn.fill(Vector3::zeros());
+        self.energy_mn_mm = 0.0;
+    }
+
     /// Computes something of every tetrahedron in parallel, chunk after chunk, and adds it in order.
-    fn chunks<T: Send>(
+    fn chunks<T: Send + Clone>(
         &mut self,
         tissue: &Myocardium,
         buffer: &mut Vec<Option<T>>,
         of: fn(&Element, PointLaw<'_>, [Vector3<f64>; 4]) -> Option<T>,
         mut add: impl FnMut(&mut Self, &[usize; 4], &T),
     ) -> Result<(), MechanicsError> {
+        buffer.resize(CHUNK.min(tissue.elements().len()), None);
         for (elements, first) in tissue.elements().chunks(CHUNK).zip((0..).step_by(CHUNK)) {
             let corners = &tissue.tetrahedra()[first..first + elements.len()];
             let this = &*self;
-            let compute = |index: usize| {
+            buffer.par_iter_mut().zip(elements).enumerate().with_min_len(64).for_each(|(index, (item, element))| {
                 let law = PointLaw {
                     material: tissue.material(first + index),
                     stiffening: this.stiffening,
                     rest_stretch: &this.rest_stretch[first + index],
                     tension_kpa: this.tension_kpa[first + index],
                 };
-                of(&elements[index], law, corners[index].map(|corner| this.trial_mm[corner]))
-            };
-            (0..elements.len()).into_par_iter().with_min_len(64).map(compute).collect_into_vec(buffer);
+                *item = of(element, law, corners[index].map(|corner| this.trial_mm[corner]));
+            });
             for (index, (corners, item)) in corners.iter().zip(buffer.iter()).enumerate() {
                 let item = item.as_ref().ok_or(MechanicsError::InvertedElement { tetrahedron: first + index })?;
                 add(self, corners, item);
@@ -200,12 +224,20 @@ impl Tangent {
         self.is_linearised
     }
 
+    pub(super) fn is_convex(&self) -> bool {
+        self.is_convex
+    }
+
     pub(super) fn trial_mm(&self) -> &[Vector3<f64>] {
         &self.trial_mm
     }
 
     pub(super) fn force_mn(&self) -> &[Vector3<f64>] {
         &self.force_mn
+    }
+
+    pub(super) fn energy_mn_mm(&self) -> f64 {
+        self.energy_mn_mm
     }
 
     pub(super) fn matrix(&self) -> &BlockMatrix {
@@ -229,8 +261,9 @@ impl Tangent {
         self.mean_stiffnesses.push(MeanStiffness { rows: vertices.iter().copied().zip(blocks_mn_per_mm.iter().copied()).collect() });
     }
 
-    fn add_force(&mut self, &[a, b, c, d]: &[usize; 4], force_mn: &[Vector3<f64>; 3]) {
-        for (corner, force) in [b, c, d].into_iter().zip(force_mn) {
+    fn add_force(&mut self, &[a, b, c, d]: &[usize; 4], element: &ElementForce) {
+        self.energy_mn_mm += element.energy_mn_mm;
+        for (corner, force) in [b, c, d].into_iter().zip(&element.corners_mn) {
             self.force_mn[corner] += force;
             self.force_mn[a] -= force;
         }
@@ -297,7 +330,7 @@ mod tests {
         let mut tangent = Tangent::new(&tissue);
         let tension: Vec<f64> = (0..12).map(|t| 20.0 + f64::from(t)).collect();
         tangent.set_tension(&tension);
-        tangent.linearise(&tissue, &constants(&tissue), &position).unwrap();
+        tangent.linearise(&tissue, &constants(&tissue), &position, Linearisation::Exact).unwrap();
         let energy = |x: &DVector<f64>| tissue.corotational_energy_mn_mm(&field(x), &tension).map(|e| DVector::from_element(1, e));
         let force = |x: &DVector<f64>| {
             let mut there = tangent.clone();

@@ -17,7 +17,7 @@ use nalgebra::{Matrix3, Vector3};
 
 pub use contraction::ContractionLaw;
 pub use error::MechanicsError;
-pub use kinematics::{Kinematics, Tangent};
+pub use kinematics::{Kinematics, Linearisation, Tangent};
 pub use material::{PassiveProperties, TransverseIsotropy};
 pub use myocardium::Myocardium;
 pub use scheme::TimeScheme;

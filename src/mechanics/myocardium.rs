@@ -238,7 +238,7 @@ impl Myocardium {
                 tension_kpa: tension_kpa[tetrahedron],
             };
             let corners_mm = self.tetrahedra[tetrahedron].map(|corner| position_mm[corner]);
-            element.energy_mn_mm(law, corners_mm).ok_or(MechanicsError::InvertedElement { tetrahedron })
+            element.force(law, corners_mm).map(|force| force.energy_mn_mm).ok_or(MechanicsError::InvertedElement { tetrahedron })
         };
         self.elements.iter().enumerate().map(energy).sum()
     }

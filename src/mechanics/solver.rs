@@ -91,6 +91,8 @@ struct StepMatrix<'a> {
     operator: &'a StepOperator,
     matrix: &'a BlockMatrix,
     mean_stiffnesses: &'a [MeanStiffness],
+    /// Whether its tetrahedra's part is known to be convex.
+    is_convex: bool,
     stiffness_mn_per_mm: &'a [Matrix3<f64>],
 }
 
@@ -98,6 +100,11 @@ impl StepMatrix<'_> {
     /// Whether the operator's factor is that of this matrix.
     fn is_constant(&self) -> bool {
         std::ptr::eq(self.matrix, self.operator.matrix()) && self.stiffness_mn_per_mm.iter().all(|block| *block == Matrix3::zeros())
+    }
+
+    /// Whether it is the tangent of a round of Newton's method, which has better ways to go on than to iterate on.
+    fn is_tangent(&self) -> bool {
+        !std::ptr::eq(self.matrix, self.operator.matrix())
     }
 
     fn multiply(&self, x: &[Vector3<f64>], product: &mut [Vector3<f64>]) {
@@ -153,7 +160,8 @@ impl StepSolver {
         check_responses(count, responses)?;
         let mut columns = self.take_columns(responses);
         columns[0].resize(count, Vector3::zeros());
-        let matrix = StepMatrix { operator, matrix: operator.matrix(), mean_stiffnesses: &[], stiffness_mn_per_mm: stiffness };
+        let matrix =
+            StepMatrix { operator, matrix: operator.matrix(), mean_stiffnesses: &[], is_convex: true, stiffness_mn_per_mm: stiffness };
         // A direct solve has no tolerance that refers to a norm.
         let reference_norm =
             if matrix.is_constant() { 0.0 } else { matrix.subtract(&system.force_mn, operator.myocardium().rest_mm(), &mut columns[0]) };
@@ -188,7 +196,7 @@ impl StepSolver {
         let count = operator.myocardium().vertex_count();
         check_responses(count, responses)?;
         check_size("stiffness blocks, one a vertex", count, stiffness_mn_per_mm.len())?;
-        let matrix = StepMatrix { operator, matrix: operator.matrix(), mean_stiffnesses: &[], stiffness_mn_per_mm };
+        let matrix = StepMatrix { operator, matrix: operator.matrix(), mean_stiffnesses: &[], is_convex: true, stiffness_mn_per_mm };
         self.solve_columns(matrix, responses, None, self.settings.relative_tolerance)
     }
 
@@ -196,7 +204,8 @@ impl StepSolver {
     /// column and for the forces in the others, in place (mN in, mm out), to a tolerance of its own relative to each column.
     ///
     /// # Errors
-    /// [`MechanicsError::NotLinearised`] if the system has no tangent, and as [`StepSolver::solve`].
+    /// [`MechanicsError::NotLinearised`] if the system has no tangent, [`MechanicsError::NotConvex`] if all is symmetric and not positive
+    /// definite, and as [`StepSolver::solve`]; the columns are then undefined.
     pub fn correct(
         &mut self,
         operator: &StepOperator,
@@ -214,6 +223,7 @@ impl StepSolver {
             operator,
             matrix: tangent.matrix(),
             mean_stiffnesses: tangent.mean_stiffnesses(),
+            is_convex: tangent.is_convex(),
             stiffness_mn_per_mm: &system.stiffness_mn_per_mm,
         };
         let Some(first) = columns.first() else {
@@ -225,6 +235,13 @@ impl StepSolver {
             preconditioner.served(report.iteration_count);
         }
         Ok(report)
+    }
+
+    /// Has the next iterative solve factorise its preconditioner anew.
+    pub fn forget_preconditioner(&mut self) {
+        if let Some(preconditioner) = &mut self.preconditioner {
+            preconditioner.excess = self.settings.excess_iterations;
+        }
     }
 
     /// Copies the responses behind a first, free column.
@@ -257,7 +274,7 @@ impl StepSolver {
         let product = |x: &[Vector3<f64>], y: &mut [Vector3<f64>]| matrix.multiply(x, y);
         self.guesses.subtract(&product, &mut columns[first_response..]);
         let is_symmetric = matrix.stiffness_mn_per_mm.iter().all(is_symmetric);
-        let (path, report) = self.iterate(matrix.operator, &product, is_symmetric, columns, relative_tolerance)?;
+        let (path, report) = self.iterate(matrix, &product, is_symmetric, columns, relative_tolerance)?;
         self.guesses.add_and_keep(&mut columns[first_response..]);
         let KrylovReport { iteration_count, relative_residual } = report;
         Ok(SolveReport { path, iteration_count, relative_residual, was_refactorised })
@@ -275,7 +292,7 @@ impl StepSolver {
 
     fn iterate(
         &mut self,
-        operator: &StepOperator,
+        matrix: StepMatrix<'_>,
         product: &Product<'_>,
         is_symmetric: bool,
         columns: &mut [Vec<Vector3<f64>>],
@@ -286,11 +303,12 @@ impl StepSolver {
         let factor = self.preconditioner.as_ref().and_then(|kept| kept.factor.as_ref());
         let mut precondition = |columns: &mut [Vec<Vector3<f64>>]| match factor {
             Some(factor) => factor.solve_in_place(columns, single),
-            None => operator.factor().solve_in_place(columns, direct),
+            None => matrix.operator.factor().solve_in_place(columns, direct),
         };
         if is_symmetric {
             match conjugate_gradients(product, &mut precondition, columns, &self.reference_norms, limits, &mut self.krylov)? {
                 ConjugateGradientOutcome::Converged(report) => return Ok((SolvePath::ConjugateGradients, report)),
+                ConjugateGradientOutcome::NegativeCurvature if matrix.is_tangent() => return Err(MechanicsError::NotConvex),
                 ConjugateGradientOutcome::NegativeCurvature => {}
             }
         }
@@ -323,6 +341,9 @@ impl StepSolver {
         };
         let factor = match factorised {
             Ok(factor) => Some(factor),
+            Err(LinearSolveError::NotPositiveDefinite { .. }) if step.is_tangent() && !step.is_convex => {
+                return Err(MechanicsError::NotConvex);
+            }
             Err(LinearSolveError::NotPositiveDefinite { .. }) => None,
             Err(error) => return Err(error.into()),
         };

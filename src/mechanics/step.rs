@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use super::kinematics::CorotationalConstants;
 use super::myocardium::check_size;
 use super::scheme::Coefficients;
-use super::{Kinematics, MechanicsError, MotionState, Myocardium, StepSystem, Tangent, TimeScheme};
+use super::{Kinematics, Linearisation, MechanicsError, MotionState, Myocardium, StepSystem, Tangent, TimeScheme};
 use crate::numerics::{BlockMatrix, CholeskyFactor, CholeskyWorkspace};
 
 /// How a step is taken.
@@ -190,10 +190,15 @@ impl StepOperator {
     ///
     /// # Errors
     /// [`MechanicsError::FieldSize`], or [`MechanicsError::InvertedElement`] if a tetrahedron is flat or inside out there.
-    pub fn linearise(&self, trial_mm: &[Vector3<f64>], system: &mut StepSystem) -> Result<(), MechanicsError> {
+    pub fn linearise(
+        &self,
+        trial_mm: &[Vector3<f64>],
+        linearisation: Linearisation,
+        system: &mut StepSystem,
+    ) -> Result<(), MechanicsError> {
         check_size("trial positions, one a vertex", self.myocardium.vertex_count(), trial_mm.len())?;
         match (&self.damping, &mut system.tangent) {
-            (Damping::Corotational(_, constants), Some(tangent)) => tangent.linearise(&self.myocardium, constants, trial_mm),
+            (Damping::Corotational(_, constants), Some(tangent)) => tangent.linearise(&self.myocardium, constants, trial_mm, linearisation),
             _ => Ok(()),
         }
     }
@@ -223,6 +228,23 @@ impl StepOperator {
             *residual = system.force_mn[vertex] - tangent.force_mn()[vertex] - stiffness * tangent.trial_mm()[vertex];
         }
         Ok(())
+    }
+
+    /// What minus the residual is the gradient of, in two parts whose sum it is, mN·mm: the internal energy where the system's forces
+    /// were last computed, and the rest of it beside its value at `from_mm` (with the symmetric part of the data's stiffness).
+    ///
+    /// # Errors
+    /// As [`StepOperator::residual`].
+    pub fn energy_mn_mm(&self, system: &StepSystem, from_mm: &[Vector3<f64>]) -> Result<(f64, f64), MechanicsError> {
+        let (Damping::Corotational(_, constants), Some(tangent)) = (&self.damping, &system.tangent) else {
+            return Err(MechanicsError::NotLinearised);
+        };
+        check_size("positions, one a vertex", self.myocardium.vertex_count(), from_mm.len())?;
+        let change = |(vertex, (to, from)): (usize, (&Vector3<f64>, &Vector3<f64>))| {
+            let stiffness = constants.diagonal_mn_per_mm[vertex] + system.stiffness_mn_per_mm[vertex];
+            (to - from).dot(&(stiffness * (to + from) / 2.0 - system.force_mn[vertex]))
+        };
+        Ok((tangent.energy_mn_mm(), tangent.trial_mm().iter().zip(from_mm).enumerate().map(change).sum()))
     }
 
     /// Norm of the forces that would move every vertex of the tissue at rest by 1 mm, each on its own, mN: what residuals are read

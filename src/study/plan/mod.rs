@@ -21,7 +21,7 @@ pub use comparison::ComparisonPlan;
 pub use images::{ImageSource, ImagesPlan, ReferenceLabels, VolumeSource};
 pub use labels::{LabelSource, LabelsPlan};
 pub use mesh_file::{LengthUnit, MeshPlan, MeshSource};
-pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite, SitePlan};
+pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite, SitePlan, TimeSchemePlan};
 pub use output::OutputPlan;
 pub use personalisation::{FreeParameter, PersonalisationPlan};
 pub use phantom::{ContractionPlan, ModelAnatomy, PhantomPlan};

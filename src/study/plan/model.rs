@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 
 use super::words;
 use crate::heart::{Parameter, Parameters, Section};
+use crate::mechanics::TimeScheme;
 use crate::study::reader::TableReader;
 
 words! {
@@ -33,6 +34,16 @@ words! {
         Linear = "linear",
         /// Large rotations.
         Corotational = "corotational",
+    }
+}
+
+words! {
+    /// How time is discretised.
+    TimeSchemePlan {
+        /// First order, damps fast modes; the paper's.
+        BackwardEuler = "backward_euler",
+        /// Second order, damps fast modes by `mechanics.spectral_radius`.
+        GeneralisedAlpha = "generalised_alpha",
     }
 }
 
@@ -65,6 +76,8 @@ pub struct ModelPlan {
     pub step_s: f64,
     /// `mechanics.kinematics`: how strain is measured.
     pub kinematics: KinematicsPlan,
+    /// `mechanics.time_scheme` with `mechanics.spectral_radius`: how time is discretised.
+    pub time_scheme: TimeScheme,
 }
 
 pub(super) fn read(root: &TableReader, parameters: &mut Parameters, written: &mut BTreeSet<Parameter>) -> ModelPlan {
@@ -72,9 +85,28 @@ pub(super) fn read(root: &TableReader, parameters: &mut Parameters, written: &mu
     let mechanics = root.table(Section::Mechanics.key());
     mechanics.parameters(Section::Mechanics, parameters, written);
     let kinematics = mechanics.choice("kinematics", KinematicsPlan::Linear);
-    let plan = ModelPlan { onset, step_s: mechanics.number("step_s", 1e-5..=0.05, 0.005), kinematics };
+    let time_scheme = read_time_scheme(&mechanics);
+    let plan = ModelPlan { onset, step_s: mechanics.number("step_s", 1e-5..=0.05, 0.005), kinematics, time_scheme };
     mechanics.close();
     plan
+}
+
+fn read_time_scheme(mechanics: &TableReader) -> TimeScheme {
+    let scheme = mechanics.choice("time_scheme", TimeSchemePlan::BackwardEuler);
+    let spectral_radius = mechanics.number("spectral_radius", 0.0..=1.0, 0.5);
+    match scheme {
+        TimeSchemePlan::GeneralisedAlpha => TimeScheme::GeneralisedAlpha { spectral_radius },
+        TimeSchemePlan::BackwardEuler => {
+            if mechanics.has("spectral_radius") {
+                mechanics.problem(
+                    "spectral_radius",
+                    "is of generalised_alpha alone",
+                    "write time_scheme = \"generalised_alpha\", or leave it out",
+                );
+            }
+            TimeScheme::BackwardEuler
+        }
+    }
 }
 
 fn read_onset(table: TableReader, parameters: &mut Parameters, written: &mut BTreeSet<Parameter>) -> OnsetPlan {

@@ -89,6 +89,19 @@ fn a_wrong_type_is_told_the_right_one() {
 }
 
 #[test]
+fn a_time_scheme_is_chosen_with_its_spectral_radius() {
+    use crate::mechanics::TimeScheme;
+    let scheme = |settings: &[&str]| plan(SIMULATE, settings).unwrap().model.time_scheme;
+    let alpha = "mechanics.time_scheme=generalised_alpha";
+    assert_eq!(scheme(&[]), TimeScheme::BackwardEuler);
+    assert_eq!(scheme(&[alpha]), TimeScheme::GeneralisedAlpha { spectral_radius: 0.5 });
+    assert_eq!(scheme(&[alpha, "mechanics.spectral_radius=0.8"]), TimeScheme::GeneralisedAlpha { spectral_radius: 0.8 });
+    assert!(problem(SIMULATE, &[alpha, "mechanics.spectral_radius=1.5"]).contains("choose a value from 0 to 1"));
+    let alone = problem(SIMULATE, &["mechanics.spectral_radius=0.8"]);
+    assert!(alone.ends_with("is of generalised_alpha alone; write time_scheme = \"generalised_alpha\", or leave it out"), "{alone}");
+}
+
+#[test]
 fn the_heart_has_one_shape() {
     let biventricle = plan("kind = \"simulate\"\n[anatomy.idealised_biventricle]\nrv_wall_mm = 3.5\n", &[]).unwrap();
     let AnatomySource::IdealisedBiventricle { shape, .. } = biventricle.anatomy.source else { panic!("{:?}", biventricle.anatomy.source) };

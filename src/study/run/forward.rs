@@ -21,7 +21,8 @@ pub(super) fn heart_model(plan: &ModelPlan, anatomy: &Arc<Anatomy>, parameters: 
         KinematicsPlan::Linear => Kinematics::Linear,
         KinematicsPlan::Corotational => Kinematics::Corotational,
     };
-    let settings = ModelSettings { step_s: plan.step_s, kinematics, onset_sites, extra_stimuli, ..ModelSettings::default() };
+    let &ModelPlan { step_s, time_scheme, .. } = plan;
+    let settings = ModelSettings { step_s, time_scheme, kinematics, onset_sites, extra_stimuli, ..ModelSettings::default() };
     Ok(HeartModel::new(Arc::clone(anatomy), parameters, settings)?)
 }
 

@@ -49,6 +49,8 @@ pub(super) struct BeatSummary {
     pub(super) total_activation_time_ms: f64,
     pub(super) activation_time_lv_ms: f64,
     pub(super) activation_time_rv_ms: Option<f64>,
+    /// Steps of corotational kinematics that were taken in parts.
+    pub(super) divided_step_count: usize,
     #[serde(flatten)]
     pub(super) wall: Option<WallSummary>,
 }
@@ -90,6 +92,7 @@ impl BeatSummary {
             total_activation_time_ms: crate::units::MS_PER_S * activation.total_s,
             activation_time_lv_ms: crate::units::MS_PER_S * activation.left_s,
             activation_time_rv_ms: activation.right_s.map(|time_s| crate::units::MS_PER_S * time_s),
+            divided_step_count: trajectory.divided_step_count,
             wall: deformation(model, trajectory, clock).map(|beat| WallSummary::new(&beat)),
         }
     }
