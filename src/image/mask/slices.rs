@@ -58,6 +58,9 @@ impl SliceStack {
         for index in region.slices.clone() {
             slices.extend(clean_slice(&RawSlice::of(&region, labels, index, codes), region.shape, &mut warnings));
         }
+        if let Some(code) = codes.cavity_rv.filter(|_| slices.iter().all(|slice| slice.cavity_rv.is_none())) {
+            return unusable(format!("no slice with a left ventricle holds a right cavity (label {code})"));
+        }
         order_from_apex(&mut slices, options.apex, &mut warnings);
         drop_open_ends(&mut slices, has_rv, region.shape, &mut warnings)?;
         if slices.iter().filter(|slice| slice.cavity.is_some()).count() < 2 {

@@ -173,3 +173,98 @@ fn specks_and_holes_are_cleaned() {
     assert_eq!(clean.report, cleaned.report);
     assert!(cleaned.warnings.iter().any(|w| w.contains("slice 4")));
 }
+
+const BOTH: HeartCodes = HeartCodes { cavity_rv: Some(3), ..CODES };
+
+/// A smaller left ventricle with a right one beside it, an ellipsoid that the left one cuts, without a wall of its own.
+fn two_ventricles(gap_mm: f64, map: &Matrix4<f64>) -> LabelMap {
+    let left = Ellipsoids { cavity_mm: [15.0, 50.0], epicardium_mm: [22.0, 57.0] };
+    let labels = label_map(&left, [1.4, 1.4], gap_mm, map);
+    let to_own = map.try_inverse().unwrap();
+    let right = |flat: usize| {
+        let voxel = Vector3::from(labels.grid().voxel_of(flat).map(|n| n as f64));
+        let own = (to_own * labels.grid().to_world_mm(&voxel).push(1.0)).xyz() - Vector3::new(14.0, 0.0, 0.0);
+        own.component_div(&Vector3::new(25.0, 22.0, 48.0)).norm() < 1.0
+    };
+    let codes = labels.labels().iter().enumerate().map(|(flat, &label)| if label == 0 && right(flat) { 3 } else { label });
+    LabelMap::new(labels.grid().clone(), codes.collect()).unwrap()
+}
+
+fn message_of_both(labels: &LabelMap, options: &FieldOptions) -> String {
+    heart_fields(labels, &BOTH, options).unwrap_err().to_string()
+}
+
+#[test]
+fn a_right_cavity_keeps_its_volume_and_gets_a_wall() {
+    let labels = two_ventricles(8.0, &oblique());
+    let fields = heart_fields(&labels, &BOTH, &FieldOptions::default()).unwrap();
+    let report = &fields.report;
+    let right_ml = (report.cavity_rv_ml.unwrap(), report.labelled_cavity_rv_ml.unwrap());
+    assert!((right_ml.0 / right_ml.1 - 1.0).abs() < 0.02, "{report:?}");
+    assert!((report.cavity_lv_ml / report.labelled_cavity_lv_ml - 1.0).abs() < 0.02, "{report:?}");
+    assert!(((report.wall_ml - report.grown_wall_ml) / report.labelled_wall_ml - 1.0).abs() < 0.03, "{report:?}");
+    // The middle of the free wall, where the cavity ends: the epicardium lies 3 mm further.
+    let at = |x: f64| (oblique() * Vector3::new(x, 0.0, -12.0).push(1.0)).xyz();
+    let right = fields.cavity_rv.as_ref().unwrap();
+    let edge_mm = 14.0 + 25.0 * (1.0 - (12.0_f64 / 48.0).powi(2)).sqrt();
+    assert!(right.sample(&at(edge_mm)).unwrap().abs() < 0.7);
+    assert!((right.sample(&at(edge_mm + 1.0)).unwrap() - fields.epicardium.sample(&at(edge_mm + 1.0)).unwrap() - 3.0).abs() < 0.3);
+}
+
+#[test]
+fn a_right_cavity_that_ends_early_takes_slices_with_it_and_one_with_gaps_is_refused() {
+    let labels = two_ventricles(8.0, &oblique());
+    let without_rv_in = |lost: &dyn Fn(usize) -> bool| edited(&labels, |[_, _, k], label| if label == 3 && lost(k) { 0 } else { label });
+    let fields = heart_fields(&without_rv_in(&|k| k == 0), &BOTH, &FieldOptions::default()).unwrap();
+    assert_eq!(fields.report.basal_slice, 1);
+    assert!(fields.warnings.iter().any(|w| w.contains("slice 0: no right cavity at the base")), "{:?}", fields.warnings);
+    assert!(message_of_both(&without_rv_in(&|k| k == 2), &FieldOptions::default()).contains("slice 2: the right cavity is missing"));
+    assert!(message_of_both(&without_rv_in(&|k| k > 0), &FieldOptions::default()).contains("hold a right cavity (label 3)"));
+    assert!(message_of_both(&without_rv_in(&|_| true), &FieldOptions::default()).contains("no slice with a left ventricle"));
+}
+
+#[test]
+fn slices_along_another_axis_are_the_same_slices() {
+    let labels = two_ventricles(8.0, &oblique());
+    let grid = labels.grid();
+    let mut map = *grid.voxel_to_world();
+    for (column, from) in [(0, 2), (1, 0), (2, 1)] {
+        map.set_column(column, &grid.voxel_to_world().column(from));
+    }
+    let [ni, nj, nk] = grid.shape();
+    let turned = Grid::new([nk, ni, nj], map).unwrap();
+    let label = |flat| {
+        let [k, i, j] = turned.voxel_of(flat);
+        labels.at([i, j, k])
+    };
+    let turned = LabelMap::new(turned.clone(), (0..turned.voxel_count()).map(label).collect()).unwrap();
+    let [straight, across] = [&labels, &turned].map(|l| heart_fields(l, &BOTH, &FieldOptions::default()).unwrap());
+    assert_eq!(straight.report, across.report);
+    assert!(across.warnings[0].contains("longest along i (8.0 mm)"), "{:?}", across.warnings);
+}
+
+/// A plane that leans by 20° cuts as much of the fields as of the voxels.
+#[test]
+fn a_valve_plane_of_ones_own_cuts_labels_and_fields_alike() {
+    let labels = two_ventricles(8.0, &oblique());
+    let with = |height_mm: f64, lean_rad: f64| {
+        let place = (oblique() * Vector3::new(0.0, 0.0, height_mm).push(1.0)).xyz();
+        let normal = (oblique() * Vector3::new(lean_rad.sin(), 0.0, -lean_rad.cos()).push(0.0)).xyz();
+        FieldOptions { base: BaseCut::Plane(Plane { point_mm: place, normal }), ..FieldOptions::default() }
+    };
+    let fields = heart_fields(&labels, &BOTH, &with(-16.0, 0.35)).unwrap();
+    let report = &fields.report;
+    assert!(fields.base_plane.normal.dot(&fields.long_axis) > 0.9, "the normal points to the atria, whichever way it was given");
+    let whole = heart_fields(&labels, &BOTH, &FieldOptions::default()).unwrap().report;
+    assert!(report.cavity_lv_ml < 0.8 * whole.cavity_lv_ml);
+    for (field, counted) in [
+        (report.cavity_lv_ml, report.labelled_cavity_lv_ml),
+        (report.cavity_rv_ml.unwrap(), report.labelled_cavity_rv_ml.unwrap()),
+        (report.wall_ml - report.grown_wall_ml, report.labelled_wall_ml),
+    ] {
+        assert!((field / counted - 1.0).abs() < 0.03, "{report:?}");
+    }
+    assert!(message_of_both(&labels, &with(-10.0, 1.3)).contains("leans by 74°"));
+    assert!(message_of_both(&labels, &with(30.0, 0.0)).contains("lies beyond the labels"));
+    assert!(message_of_both(&labels, &with(-55.0, 0.0)).contains("leaves less than a tenth"));
+}

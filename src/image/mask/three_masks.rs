@@ -82,3 +82,69 @@ fn on_grid(name: &str, mask: &LabelMap, grid: &Grid, warnings: &mut Vec<String>)
     }
     Ok(is_inside(ordered.labels()))
 }
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix4, Vector3};
+
+    use super::*;
+
+    const SHAPE: [usize; 3] = [12, 10, 4];
+
+    /// Boxes side by side within a third: left blood, right blood, and what encloses both.
+    fn boxes() -> [LabelMap; 3] {
+        let mask = |low: [usize; 2], high: [usize; 2]| {
+            let grid = Grid::axis_aligned(SHAPE, Vector3::new(5.0, -3.0, 1.0), Vector3::new(1.5, 1.5, 8.0)).unwrap();
+            let is_inside = |flat| (0..2).all(|axis| (low[axis]..high[axis]).contains(&grid.voxel_of(flat)[axis]));
+            let inside = (0..grid.voxel_count()).map(|flat| u8::from(is_inside(flat))).collect();
+            LabelMap::new(grid, inside).unwrap()
+        };
+        [mask([1, 1], [11, 9]), mask([2, 2], [5, 8]), mask([7, 2], [10, 8])]
+    }
+
+    fn message(masks: [&LabelMap; 3]) -> String {
+        labels_of_masks(masks[0], masks[1], Some(masks[2])).unwrap_err().to_string()
+    }
+
+    /// The same voxels, stored from the other end along every axis and with i and j exchanged.
+    fn turned(mask: &LabelMap) -> LabelMap {
+        let [ni, nj, nk] = SHAPE;
+        let last = [ni, nj, nk].map(|n| (n - 1) as f64);
+        let mut order = Matrix4::zeros();
+        (order[(0, 1)], order[(1, 0)], order[(2, 2)], order[(3, 3)]) = (-1.0, -1.0, -1.0, 1.0);
+        (order[(0, 3)], order[(1, 3)], order[(2, 3)]) = (last[0], last[1], last[2]);
+        let grid = Grid::new([nj, ni, nk], mask.grid().voxel_to_world() * order).unwrap();
+        let label = |flat| {
+            let [j, i, k] = grid.voxel_of(flat);
+            mask.at([ni - 1 - i, nj - 1 - j, nk - 1 - k])
+        };
+        LabelMap::new(grid.clone(), (0..grid.voxel_count()).map(label).collect()).unwrap()
+    }
+
+    #[test]
+    fn masks_in_another_order_of_voxels_are_turned_and_said_so() {
+        let [epicardium, left, right] = boxes();
+        let (labels, warnings) = labels_of_masks(&epicardium, &left, Some(&right)).unwrap();
+        assert!(warnings.is_empty());
+        assert_eq!([1, 2, 3].map(|code| labels.count(code)), [3 * 6 * 4, (80 - 36) * 4, 3 * 6 * 4]);
+        let (same, warnings) = labels_of_masks(&epicardium, &left, Some(&turned(&right))).unwrap();
+        assert_eq!(same, labels);
+        assert!(warnings.len() == 1 && warnings[0].contains("right endocardium stores its voxels in another order"), "{warnings:?}");
+    }
+
+    #[test]
+    fn masks_that_are_empty_or_elsewhere_or_exchanged_are_refused() {
+        let [epicardium, left, right] = boxes();
+        let empty = left.slices(0..0);
+        assert!(message([&epicardium, &left, &empty]).contains("the mask of the right endocardium is empty"));
+        let coarse = Grid::axis_aligned([6, 5, 4], Vector3::zeros(), Vector3::new(3.0, 3.0, 8.0)).unwrap();
+        let elsewhere = LabelMap::new(coarse, vec![1; 120]).unwrap();
+        let words = message([&epicardium, &elsewhere, &right]);
+        assert!(words.contains("left endocardium lies on another grid") && words.contains("3.00 × 3.00 × 8.00 mm"), "{words}");
+        let shifted = Grid::axis_aligned(SHAPE, Vector3::new(6.0, -3.0, 1.0), Vector3::new(1.5, 1.5, 8.0)).unwrap();
+        let shifted = LabelMap::new(shifted, left.labels().to_vec()).unwrap();
+        assert!(message([&epicardium, &shifted, &right]).contains("another grid"));
+        assert!(message([&left, &epicardium, &right]).contains("outside the epicardium; check which mask is which"));
+        assert!(message([&epicardium, &left, &left]).contains("100 % of the right endocardium lies within the left one"));
+    }
+}
