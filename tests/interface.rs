@@ -1,6 +1,6 @@
 //! The binary from outside: what it prints, which exit code it ends with, and what it says to bad input.
 
-#![allow(clippy::unwrap_used, reason = "a test may stop at the first surprise")]
+#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a test may stop at the first surprise, and says what it could not look at")]
 
 use std::path::{Path, PathBuf};
 
@@ -45,9 +45,15 @@ fn refused(name: &str, text: &str, words: &[&str]) {
 fn help_names_every_command_and_the_exit_codes() {
     let answer = cardiotwin(&["--help"]);
     assert_eq!(answer.code, 0);
-    for word in
-        ["run", "check", "info", "volumes", "parameters", "Exit codes: 0 done; 1 a run failed; 2 a study file or an argument is wrong; 130"]
-    {
+    for word in [
+        "run",
+        "check",
+        "info",
+        "mesh",
+        "volumes",
+        "parameters",
+        "Exit codes: 0 done; 1 a run failed; 2 a study file or an argument is wrong; 130",
+    ] {
         assert!(answer.out.contains(word), "`{word}` is missing in:\n{}", answer.out);
     }
 }
@@ -284,4 +290,59 @@ fn what_an_image_shows_is_told_as_a_table_or_json_and_what_is_none_is_refused() 
     }
     let json = cardiotwin(&["info", cine.to_str().unwrap(), "--json"]).out;
     assert!(json.starts_with("[\n") && json.contains("\"frame_count\": 20") && json.contains("\"slice_shifts_mm\""), "{json}");
+}
+
+#[test]
+fn a_heart_is_meshed_and_its_file_is_a_heart_again() {
+    let shape = study("mesh", "kind = \"mesh\"\n[anatomy]\nedge_length_mm = 8.0\n[anatomy.idealised_biventricle]\n");
+    let folder = shape.parent().unwrap();
+    let (mesh, again) = (folder.join("heart.vtu"), folder.join("again.msh"));
+    let made = cardiotwin(&["mesh", shape.to_str().unwrap(), "-o", mesh.to_str().unwrap(), "--json", "-q"]);
+    assert_eq!((made.code, made.err.as_str()), (0, ""));
+    for words in ["\"dihedral_least_deg\"", "\"radius_ratio_least\"", "\"part\": \"cavity_rv\"", "\"masks_ml\": null"] {
+        assert!(made.out.contains(words), "`{words}` is missing in:\n{}", made.out);
+    }
+    let text = "kind = \"mesh\"\n[anatomy]\nmesh = \"heart.vtu\"\nfibre_field = \"fibre\"\nsheet_field = \"sheet\"\n";
+    let read = study("mesh/again", &text.replace("heart.vtu", "../heart.vtu"));
+    let remade = cardiotwin(&["mesh", read.to_str().unwrap(), "-o", again.to_str().unwrap(), "--json", "-q"]);
+    let until_time = |text: &str| text.split("\"meshing_s\"").next().unwrap().to_string();
+    assert_eq!(until_time(&made.out), until_time(&remade.out), "{}", remade.err);
+    let table = cardiotwin(&["mesh", shape.to_str().unwrap(), "-o", mesh.to_str().unwrap(), "-q", "--edge-length-mm", "10"]);
+    for words in ["vertices  ", "tetrahedra  ", "dihedral angle (°)  ", "cavity_rv (mL)  ", "meshing (s)  ", "the mesh is in "] {
+        assert!(table.out.contains(words), "`{words}` is missing in:\n{}", table.out);
+    }
+}
+
+#[test]
+fn labels_are_meshed_beside_their_volumes_and_bad_ones_are_refused() {
+    let missing = cardiotwin(&["mesh", "no_labels.nii.gz"]);
+    assert!(missing.code == 2 && missing.err.contains("no_labels.nii.gz does not exist"), "{}", missing.err);
+    let masks = cardiotwin(&["mesh", "README.md", "README.md", "-o", "none.vtu"]);
+    assert!(masks.code == 2 && masks.err.contains("README.md"), "{}", masks.err);
+    let labels = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/sunnybrook_SCD0000201/labels_ED_crop.nii.gz");
+    if !labels.is_file() {
+        eprintln!("SKIPPED: {} is not at hand", labels.display());
+        return;
+    }
+    let labels = labels.to_str().unwrap();
+    let mesh = study("mesh_of_labels", "").parent().unwrap().join("heart.vtk");
+    let mesh = mesh.to_str().unwrap();
+    let answer = cardiotwin(&["mesh", labels, "-o", mesh, "--edge-length-mm", "7", "-q"]);
+    assert_eq!(answer.code, 0, "{}", answer.err);
+    for words in ["(masks 245.9, ", "(masks 135.9, ", "endocardium_lv off by (mm)", "Dice 0.9"] {
+        assert!(answer.out.contains(words), "`{words}` is missing in:\n{}", answer.out);
+    }
+    assert!(answer.err.contains("warning: the wall was thinner than 2 mm"), "{}", answer.err);
+    let refused = |arguments: &[&str], words: &str| {
+        let answer = cardiotwin(&[&["mesh", labels, "-o", mesh, "-q"], arguments].concat());
+        assert!(answer.code == 2 && answer.err.contains(words), "{} {}", answer.code, answer.err);
+    };
+    refused(&["--set", "anatomy.code_cavity_rv=3"], "holds a right cavity (label 3)");
+    refused(&["--set", "anatomy.code_cavity_lv=7"], "a closed wall (label 2)");
+    refused(&["--set", "anatomy.label_slices=[4, 4]"], "fewer than two slices");
+    refused(&["--edge-length-mm", "90"], "edge_length_mm");
+    // The cavity of end-systole was drawn without a wall.
+    let bare = labels.replace("ED", "ES");
+    let answer = cardiotwin(&["mesh", &bare, "-q"]);
+    assert!(answer.code == 2 && answer.err.contains("closed wall (label 2)"), "{}", answer.err);
 }

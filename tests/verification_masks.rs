@@ -4,11 +4,13 @@
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a test may stop at the first surprise, and says what it could not look at")]
 
 use std::collections::BTreeSet;
+use std::ops::ControlFlow;
 use std::path::Path;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use cardiotwin::anatomy::mesher::MesherSettings;
-use cardiotwin::anatomy::{Anatomy, AnatomySettings, IdealisedBiventricle, Region, build_from_fields, complete_anatomy};
+use cardiotwin::anatomy::{Anatomy, AnatomySettings, IdealisedBiventricle, Region, Ventricle, build_from_fields, complete_anatomy};
+use cardiotwin::heart::{BeatObservables, HeartModel, ModelSettings, Parameters, SimulationPlan, simulate};
 use cardiotwin::image::{FieldOptions, HeartCodes, HeartFields, LabelMap, MASK_CODES, heart_fields, labels_of_masks};
 use cardiotwin::mesh::io::{Numbering, TableFiles, TagCodes, read_mesh_tables};
 use cardiotwin::mesh::{MeshQuality, SurfaceTag, TetLocator};
@@ -199,4 +201,19 @@ fn joined_codes(labels: &LabelMap) -> LabelMap {
         LABEL_WALL => MASK_CODES.wall_lv,
         _ => 0,
     })
+}
+
+/// A heart that knows nothing of where its masks come from beats: both ventricles eject, and the left one against the higher pressure.
+#[test]
+fn two_ventricles_from_masks_beat() {
+    let labels = without_rv_wall(biventricle(), &drawn(biventricle(), 2.0, 8.0));
+    let (_, anatomy) = rebuilt(&labels, &FieldOptions::default(), 7.5);
+    let model = HeartModel::new(Arc::new(anatomy), Parameters::default(), ModelSettings::default()).unwrap();
+    let (start_s, period_s) = (-0.15, 0.8);
+    let plan = SimulationPlan { start_time_s: start_s, end_time_s: start_s + period_s, frame_times_s: vec![start_s] };
+    let trajectory = simulate(&model, &plan, &[], &mut |_, _| ControlFlow::Continue(())).unwrap();
+    let [left, right] =
+        [Ventricle::Left, Ventricle::Right].map(|v| BeatObservables::of_beat(&trajectory.curves, v, start_s, period_s).unwrap());
+    assert!((0.4..0.75).contains(&left.ejection_fraction) && (0.2..0.75).contains(&right.ejection_fraction), "{left:?} {right:?}");
+    assert!(left.pressure_peak_mmhg > 80.0 && (10.0..60.0).contains(&right.pressure_peak_mmhg), "{left:?} {right:?}");
 }
