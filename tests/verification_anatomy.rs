@@ -251,3 +251,26 @@ fn the_benchmark_biventricle_becomes_an_anatomy_with_its_own_fibres() {
     angles_deg.sort_by(f64::total_cmp);
     assert!(angles_deg[angles_deg.len() / 2] < 15.0, "{}", angles_deg[angles_deg.len() / 2]);
 }
+
+/// The free wall of the right ventricle takes its own angles, read against its own local axes, and nothing else changes.
+#[test]
+fn the_right_free_wall_may_have_fibres_of_its_own() {
+    let mesher = MesherSettings::with_edge_length_mm(8.0);
+    let own = FibreRule { helix_endocardium_deg: 60.0, helix_epicardium_deg: -30.0 };
+    let build = |fibres_rv| IdealisedBiventricle::default().build(&mesher, &AnatomySettings { fibres_rv, ..AnatomySettings::default() });
+    let (common, apart) = (build(None).unwrap(), build(Some(own)).unwrap());
+    for (t, (axes, before)) in apart.fibre_axes.iter().zip(&common.fibre_axes).enumerate() {
+        if apart.regions[t] != Region::FreeWallRv {
+            assert_eq!(axes, before);
+            continue;
+        }
+        let [along, up] = [0, 1].map(|axis| axes.column(0).dot(&apart.heart_axes[t].column(axis)));
+        let [common_along, common_up] = [0, 1].map(|axis| before.column(0).dot(&apart.heart_axes[t].column(axis)));
+        // Depth is what the common rule, 80° to −80°, makes of its angle.
+        let depth = (80.0 - common_up.atan2(common_along).to_degrees()) / 160.0;
+        let expected_deg = 60.0 - 90.0 * depth;
+        assert!((up.atan2(along).to_degrees() - expected_deg).abs() < 1e-6, "at depth {depth}");
+    }
+    let refused = build(Some(FibreRule { helix_endocardium_deg: 100.0, ..own }));
+    assert!(refused.is_err());
+}

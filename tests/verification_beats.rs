@@ -3,6 +3,8 @@
 #![allow(clippy::unwrap_used, reason = "a test may stop at the first surprise")]
 
 use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 
 use cardiotwin::anatomy::mesher::MesherSettings;
@@ -12,7 +14,9 @@ use cardiotwin::heart::{
     Trajectory, simulate,
 };
 use cardiotwin::phantom::IdealisedLv;
+use cardiotwin::study::{Config, Overrides, Plan, RunContext, Silent, run};
 use rayon::prelude::*;
+use serde_json::Value;
 
 const START_S: f64 = -0.15;
 const PERIOD_S: f64 = 0.8;
@@ -63,6 +67,42 @@ fn the_default_biventricle_has_physiological_figures_at_once() {
         ("wall thickening", wall.wall_thickening, 0.15..0.5),
     ];
     for (name, value, range) in ranges {
+        assert!(range.contains(&value), "{name} {value} outside {range:?}");
+    }
+}
+
+/// What study 02 states, on a mesh so coarse that it takes seconds: published tissue under large rotations, a base that is free to descend.
+/// Where a figure leaves its range the heart is not normal any more, whatever the studies say.
+#[test]
+fn the_second_study_beats_as_a_normal_heart_on_a_coarse_mesh() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("studies/02_biventricular_beat/study.toml");
+    let settings = ["anatomy.edge_length_mm=10", "simulation.beats=1", "output.figures=false", "output.meshes=false"];
+    let settings = settings.iter().map(ToString::to_string).collect();
+    let overrides = Overrides { output: Some(folder.path().to_path_buf()), settings, ..Overrides::default() };
+    let plan = Plan::new(&Config::read(&file, overrides).unwrap()).unwrap();
+    run(&plan, &RunContext::new(&Silent, &AtomicBool::new(false))).unwrap();
+    let summary: Value = serde_json::from_str(&std::fs::read_to_string(folder.path().join("summary.json")).unwrap()).unwrap();
+    let ranges = [
+        ("ejection_fraction_lv", 0.55..0.7),
+        ("ejection_fraction_rv", 0.45..0.7),
+        ("end_diastolic_volume_lv_ml", 109.0..189.0),
+        ("end_diastolic_volume_rv_ml", 113.0..223.0),
+        ("pressure_peak_lv_mmhg", 100.0..140.0),
+        ("pressure_peak_rv_mmhg", 15.0..35.0),
+        ("pressure_rate_max_lv_mmhg_per_s", 1200.0..2500.0),
+        ("isovolumetric_contraction_lv_ms", 30.0..50.0),
+        ("ejection_lv_ms", 269.0..315.0),
+        ("isovolumetric_relaxation_lv_ms", 77.0..115.0),
+        ("base_descent_mm", 11.0..18.0),
+        ("twist_lv_deg", 10.0..20.0),
+        ("strain_circumferential_lv", -0.23..-0.15),
+        ("strain_longitudinal_lv", -0.20..-0.14),
+        ("strain_radial_lv", 0.25..0.50),
+        ("wall_thickening_lv", 0.25..0.50),
+    ];
+    for (name, range) in ranges {
+        let value = summary[name].as_f64().unwrap_or(f64::NAN);
         assert!(range.contains(&value), "{name} {value} outside {range:?}");
     }
 }

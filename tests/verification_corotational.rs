@@ -24,6 +24,7 @@ const BARE: PassiveProperties = PassiveProperties {
     base_stiffness_isotropic_kpa_per_mm: 0.0,
     pericardium_stiffness_kpa_per_mm: 0.0,
     pericardium_damping_kpa_s_per_mm: 0.0,
+    volume_stiffness_kpa: 0.0,
     pericardium_base_share: 1.0,
     valve_ring_height_mm: 0.0,
     valve_ring_stiffness_kpa: 0.0,
@@ -103,10 +104,74 @@ fn a_turned_bar_under_a_large_fibre_tension_shortens_as_the_closed_form() {
     }
 }
 
+/// A bar under fibre tension that resists a change of volume, ν = 0: with λ along, μ across and J = λ μ² the balance along and across is
+/// E_f (λ − 1) + σ λ + κ (J − 1) μ² = 0 and E_t (μ − 1) + κ (J − 1) λ μ = 0; the more κ the less volume is lost.
+#[test]
+fn a_bar_that_contracts_keeps_its_volume_as_the_closed_form() {
+    let stress_kpa = 20.0;
+    let turn = *Rotation3::from_euler_angles(0.3, -0.7, 1.1).matrix();
+    let (mesh, surface) = meshes::block(Vector3::new(20.0, 7.0, 5.0), [5, 3, 2]);
+    let lost = [0.0, 100.0, 3000.0].map(|kappa_kpa| {
+        let across_of = |along: f64| {
+            root(|across| BARE.transverse_stiffness_kpa * (across - 1.0) + kappa_kpa * (along * across * across - 1.0) * along * across)
+        };
+        let along = root(|along| {
+            let across = across_of(along);
+            let pressure_kpa = kappa_kpa * (along * across * across - 1.0);
+            BARE.fibre_stiffness_kpa * (along - 1.0) + stress_kpa * along + pressure_kpa * across * across
+        });
+        let across = across_of(along);
+        let properties = PassiveProperties { poisson_ratio: 0.0, volume_stiffness_kpa: kappa_kpa, ..BARE };
+        let tissue = Arc::new(Myocardium::new(&mesh, &surface, &vec![turn; mesh.tetrahedron_count()], &properties).unwrap());
+        let operator = operator(&tissue, 1.0, TimeScheme::BackwardEuler);
+        let residual_mn = |along: f64| {
+            let stretch = turn * Matrix3::from_diagonal(&Vector3::new(along, across, across)) * turn.transpose();
+            let state = MotionState::at_rest(mesh.vertices_mm().iter().map(|x| stretch * x).collect());
+            let mut system = loaded(&operator, &state, stress_kpa, &[]);
+            operator.update_force(&state.position_mm, &mut system).unwrap();
+            let mut residual = state.position_mm.clone();
+            operator.residual(&system, &mut residual).unwrap();
+            flat(&residual).norm()
+        };
+        let (balanced, off) = (residual_mn(along), residual_mn(1.001 * along));
+        assert!(balanced < 1e-6 * off, "{balanced} mN, {off} mN a thousandth beside it, with κ {kappa_kpa} kPa");
+        1.0 - along * across * across
+    });
+    assert!((lost[0] - 0.4).abs() < 1e-9 && lost[1] < 0.15 && lost[2] < 0.01, "{lost:?}");
+}
+
+/// The root of a rising function between a third and three.
+fn root(rising: impl Fn(f64) -> f64) -> f64 {
+    let (mut low, mut high) = (1.0 / 3.0, 3.0);
+    for _ in 0..80 {
+        let middle = (low + high) / 2.0;
+        if rising(middle) < 0.0 { low = middle } else { high = middle }
+    }
+    (low + high) / 2.0
+}
+
+/// A growth by s costs V κ/2 (s³ − 1)² more, and V κ/2 (3 (s − 1))² in linear kinematics.
+#[test]
+fn growth_costs_the_volume_stiffness_in_both_kinematics() {
+    let (kappa_kpa, growth) = (70.0, 1.2);
+    let [plain, stiff] = [0.0, kappa_kpa].map(|kappa| held_block(&PassiveProperties { volume_stiffness_kpa: kappa, ..BARE }));
+    let volume_mm3 = 12.0 * 9.0 * 6.0;
+    let grown: Vec<_> = plain.0.vertices_mm().iter().map(|x| x * growth).collect();
+    let relaxed = vec![0.0; plain.0.tetrahedron_count()];
+    let [linear, corotational] = [
+        stiff.1.elastic_energy_mn_mm(&grown) - plain.1.elastic_energy_mn_mm(&grown),
+        stiff.1.corotational_energy_mn_mm(&grown, &relaxed).unwrap() - plain.1.corotational_energy_mn_mm(&grown, &relaxed).unwrap(),
+    ];
+    let cost = |strain: f64| volume_mm3 * kappa_kpa / 2.0 * strain * strain;
+    assert!((linear / cost(3.0 * (growth - 1.0)) - 1.0).abs() < 1e-9, "{linear}");
+    assert!((corotational / cost(growth.powi(3) - 1.0) - 1.0).abs() < 1e-9, "{corotational}");
+}
+
 /// The balance of a whole step has the tangent it says, in both time schemes, damped and with springs.
 #[test]
 fn the_tangent_of_a_whole_step_leaves_a_second_order_remainder() {
     let held = PassiveProperties {
+        volume_stiffness_kpa: 60.0,
         base_stiffness_isotropic_kpa_per_mm: 10.0,
         damping_stiffness_s: 0.01,
         damping_mass_per_s: 10.0,

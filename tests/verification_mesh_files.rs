@@ -135,6 +135,31 @@ fn what_is_written_is_read_back_bit_by_bit() {
     }
 }
 
+/// Fibres of +57° meet fibres of −57° within one layer: at 0°, not at 90°, as the axes alone would have it. Signs by lot mean nothing.
+#[test]
+fn fibres_at_points_meet_the_way_their_signs_go() {
+    let (mesh, surface) = block(5);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("block.vtu");
+    let farthest_mm = mesh.vertices_mm().iter().map(|x| x.x).fold(0.0, f64::max);
+    let is_last = |vertex: usize| mesh.vertices_mm()[vertex].x > 0.99 * farthest_mm;
+    let angle = 57_f64.to_radians();
+    let fibre = |vertex: usize| Vector3::new(0.0, angle.cos(), if is_last(vertex) { -angle.sin() } else { angle.sin() });
+    let signed: Vec<Vector3<f64>> = (0..mesh.vertex_count()).map(fibre).collect();
+    let by_lot: Vec<Vector3<f64>> = signed.iter().enumerate().map(|(v, f)| if v * v % 7 < 3 { -f } else { *f }).collect();
+    let read = |directions: &[Vector3<f64>]| {
+        write_mesh_file(&path, &mesh, &surface, &[("fibre", FieldValues::Vectors(directions))], &[]).unwrap();
+        read_mesh_file(&path).unwrap().directions("fibre").unwrap()
+    };
+    for ((corners, vector), axis) in mesh.tetrahedra().iter().zip(read(&signed)).zip(read(&by_lot)) {
+        let last = corners.iter().filter(|&&vertex| is_last(vertex)).count() as f64;
+        let expected = Vector3::new(0.0, angle.cos(), angle.sin() * (1.0 - last / 2.0));
+        assert!((vector - expected).norm() < 1e-12);
+        let (up, along) = (axis.z.abs(), axis.y.abs());
+        assert!(up > 0.8 * axis.norm() && along < 0.6 * axis.norm(), "{axis} with {last} corners turned");
+    }
+}
+
 #[test]
 fn what_is_wrong_is_named() {
     let (mesh, surface) = block(5);

@@ -22,6 +22,7 @@ const PROPERTIES: PassiveProperties = PassiveProperties {
     base_stiffness_isotropic_kpa_per_mm: 0.25,
     pericardium_stiffness_kpa_per_mm: 0.075,
     pericardium_damping_kpa_s_per_mm: 0.005,
+    volume_stiffness_kpa: 0.0,
     pericardium_base_share: 1.0,
     valve_ring_height_mm: 0.0,
     valve_ring_stiffness_kpa: 0.0,

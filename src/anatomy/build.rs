@@ -16,6 +16,8 @@ use crate::units::MM3_PER_ML;
 pub struct AnatomySettings {
     /// Helix angles of the fibres.
     pub fibres: FibreRule,
+    /// Helix angles in the free wall of the right ventricle; those of the left where absent.
+    pub fibres_rv: Option<FibreRule>,
     /// World direction from the LV towards the middle of the septum; any length, made orthogonal to the long axis. An LV-only geometry
     /// does not show it, so the study gives it or takes [`DEFAULT_SEPTAL_DIRECTION`]. With two ventricles the meshed septum decides.
     pub septal_direction: Vector3<f64>,
@@ -23,7 +25,14 @@ pub struct AnatomySettings {
 
 impl Default for AnatomySettings {
     fn default() -> Self {
-        Self { fibres: FibreRule::default(), septal_direction: Vector3::from(DEFAULT_SEPTAL_DIRECTION) }
+        Self { fibres: FibreRule::default(), fibres_rv: None, septal_direction: Vector3::from(DEFAULT_SEPTAL_DIRECTION) }
+    }
+}
+
+impl AnatomySettings {
+    fn check(&self) -> Result<(), AnatomyError> {
+        self.fibres.check()?;
+        self.fibres_rv.map_or(Ok(()), |fibres| fibres.check())
     }
 }
 
@@ -32,7 +41,7 @@ impl Default for AnatomySettings {
 /// # Errors
 /// [`AnatomyError`] of the mesher or of [`complete_anatomy`].
 pub fn build_anatomy(shape: &WallShape, mesher: &MesherSettings, settings: &AnatomySettings) -> Result<Anatomy, AnatomyError> {
-    settings.fibres.check()?;
+    settings.check()?;
     let (mesh, surface) = mesh_wall(shape, mesher)?;
     complete_anatomy(mesh, surface, settings)
 }
@@ -137,7 +146,7 @@ fn box_of(field: &Volume) -> [Vector3<f64>; 2] {
 /// # Errors
 /// [`AnatomyError`] if a surface is missing, a cavity cannot be closed, an angle is out of range or the depth cannot be solved for.
 pub fn complete_anatomy(mesh: TetMesh, surface: TaggedSurface, settings: &AnatomySettings) -> Result<Anatomy, AnatomyError> {
-    settings.fibres.check()?;
+    settings.check()?;
     let cavities = Anatomy::close_cavities(&surface)?;
     let cavity = &cavities[0].1;
     let layout = if cavities.len() > 1 { lay_out_biventricle(&mesh, &surface)? } else { lay_out_lv(&mesh, &surface)? };
@@ -157,7 +166,12 @@ pub fn complete_anatomy(mesh: TetMesh, surface: TaggedSurface, settings: &Anatom
         *segment = 0;
     }
     let heart_axes: Vec<_> = layout.gradient.iter().map(|gradient| local_axes(gradient, &axes)).collect();
-    let fibre_axes = heart_axes.iter().zip(&layout.depth).map(|(local, &depth)| settings.fibres.fibre_axes(local, depth)).collect();
+    let rule_of = |region: &Region| match region {
+        Region::FreeWallRv => settings.fibres_rv.unwrap_or(settings.fibres),
+        Region::FreeWallLv | Region::Septum | Region::Scar => settings.fibres,
+    };
+    let places = heart_axes.iter().zip(&layout.depth).zip(&regions);
+    let fibre_axes = places.map(|((local, &depth), region)| rule_of(region).fibre_axes(local, depth)).collect();
     let transmural_depth = layout.depth_at_vertices;
     Ok(Anatomy { mesh, surface, cavities, transmural_depth, fibre_axes, heart_axes, regions, aha_segments, axes })
 }

@@ -97,10 +97,11 @@ pub(super) struct VentricleModel {
 const ELECTRICAL: [Parameter; 4] =
     [Parameter::ConductionVelocity, Parameter::AnisotropyRatio, Parameter::EndocardialSpeedFactor, Parameter::OnsetTime];
 
-const PASSIVE: [Parameter; 13] = [
+const PASSIVE: [Parameter; 14] = [
     Parameter::FibreStiffness,
     Parameter::TransverseStiffness,
     Parameter::PoissonRatio,
+    Parameter::VolumeStiffness,
     Parameter::Density,
     Parameter::DampingMass,
     Parameter::DampingStiffness,
@@ -308,6 +309,7 @@ fn step_operator(
         fibre_stiffness_kpa: parameters[Parameter::FibreStiffness],
         transverse_stiffness_kpa: parameters[Parameter::TransverseStiffness],
         poisson_ratio: parameters[Parameter::PoissonRatio],
+        volume_stiffness_kpa: parameters[Parameter::VolumeStiffness],
         density_kg_per_mm3: parameters[Parameter::Density],
         damping_mass_per_s: parameters[Parameter::DampingMass],
         damping_stiffness_s: parameters[Parameter::DampingStiffness],

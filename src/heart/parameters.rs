@@ -87,6 +87,7 @@ parameter_table! {
     FibreStiffness: Mechanics "fibre_stiffness_kpa" ["kPa"] = 100.0 in 0.1..2000.0, "Young's modulus E_f along the fibre.", "chosen; 15-75 kPa are published, but linear kinematics take twist for growth and want a stiffer wall";
     TransverseStiffness: Mechanics "transverse_stiffness_kpa" ["kPa"] = 60.0 in 0.1..2000.0, "Young's modulus E_t across the fibre.", "chosen with the fibre stiffness; 5-60 kPa are published";
     PoissonRatio: Mechanics "poisson_ratio" ["1"] = 0.4 in 0.0..0.49, "Poisson's ratio ν, along and across.", "0.4-0.45 with linear tetrahedra";
+    VolumeStiffness: Mechanics "volume_stiffness_kpa" ["kPa"] = 0.0 in 0.0..5000.0, "Resistance κ to a change of volume beyond that of ν: κ/2 (J − 1)², in linear kinematics κ/2 (tr ε)².", "off; 350-1000 in codes of finite strain, [Land2015]";
     Density: Mechanics "density_kg_per_mm3" ["kg/mm³"] = 1.06e-6 in 1e-7..1e-5, "Mass density of the myocardium.", "1060 kg/m³";
     DampingMass: Mechanics "damping_mass_per_s" ["1/s"] = 10.0 in 0.0..1000.0, "Rayleigh damping α on the mass.", "chosen";
     DampingStiffness: Mechanics "damping_stiffness_s" ["s"] = 0.01 in 0.0..0.2, "Rayleigh damping β on the stiffness.", "0.005-0.02 s";

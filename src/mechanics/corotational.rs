@@ -4,10 +4,11 @@
 //! unit volume is that of linear elasticity of the stretch, and of the fibre's tension (a second Piola–Kirchhoff stress, as in
 //! \[Land2015\], so that the nominal tension falls with the fibre's length and no tension can pull a fibre through itself):
 //!
-//! $$\psi(F) = \tfrac a2 (U - \bar U) : D : (U - \bar U) + \tfrac{\sigma_C}2 |F e_f|^2 + \kappa\, b(\det F)$$
+//! $$\psi(F) = \tfrac a2 (U - \bar U) : D : (U - \bar U) + \tfrac{\sigma_C}2 |F e_f|^2 + \tfrac{\kappa_V}2 (\det F - 1)^2 + \kappa\, b(\det F)$$
 //!
 //! Rotations cost nothing, and where they are small it is linear elasticity. Damping of a time step makes the tissue stiffer, $a > 1$,
-//! about a stretch $\bar U$ between rest and where the step begins, see [`PointLaw`]. The last term holds tetrahedra open that have lost
+//! about a stretch $\bar U$ between rest and where the step begins, see [`PointLaw`]. The linear material keeps tr U, which at large strain is
+//! not the volume: $\kappa_V$, which is not damped, keeps the volume itself. The last term holds tetrahedra open that have lost
 //! half their volume, which a linear material would let collapse; with $x = \det F / J_0$
 //!
 //! $$b = -\ln x + (x - 1) - \tfrac12 (x - 1)^2 \quad (x < 1), \qquad b = 0 \quad (x \ge 1).$$
@@ -39,6 +40,29 @@ pub(super) struct PointLaw<'a> {
     pub(super) rest_stretch: &'a Matrix3<f64>,
     /// σC, kPa.
     pub(super) tension_kpa: f64,
+    /// κ_V, kPa.
+    pub(super) volume_stiffness_kpa: f64,
+}
+
+impl PointLaw<'_> {
+    /// $\tfrac{\kappa_V}2 (J - 1)^2 + \kappa\,b$, kPa.
+    fn volume_energy_kpa(&self, jacobian: f64) -> f64 {
+        let x = jacobian / GUARDED_VOLUME;
+        let guard = if x < 1.0 { x - 1.0 - x.ln() - (x - 1.0).powi(2) / 2.0 } else { 0.0 };
+        self.volume_stiffness_kpa / 2.0 * (jacobian - 1.0).powi(2) + self.material.bulk_kpa() * guard
+    }
+
+    /// Its first and second derivative by J, kPa; None where both terms are off.
+    fn volume_derivatives_kpa(&self, jacobian: f64) -> Option<(f64, f64)> {
+        let kept = self.volume_stiffness_kpa;
+        let (first, second) = (kept * (jacobian - 1.0), kept);
+        let x = jacobian / GUARDED_VOLUME;
+        if x >= 1.0 {
+            return (kept > 0.0).then_some((first, second));
+        }
+        let scale = self.material.bulk_kpa() / GUARDED_VOLUME;
+        Some((first + scale * (2.0 - 1.0 / x - x), second + scale / GUARDED_VOLUME * (1.0 / (x * x) - 1.0)))
+    }
 }
 
 /// R and U.
@@ -54,14 +78,14 @@ pub(super) struct DeformedPoint {
     polar: Polar,
     /// ψ, kPa (= mN·mm/mm³).
     pub(super) energy_kpa: f64,
-    /// T = a D : (U − Ū) and the guard's share, kPa.
+    /// T = a D : (U − Ū) and the volume's share, kPa.
     biot_kpa: Matrix3<f64>,
     /// G⁻¹ with G = tr(U) I − U, see [`Polar::spin`].
     spin: Matrix3<f64>,
     /// n = G⁻¹ ax(U T − T U), kPa; zero where T and U share their axes.
     twist_kpa: Vector3<f64>,
-    /// κ ∂b/∂J and κ ∂²b/∂J², kPa; None where the tetrahedron needs no guard.
-    guard_kpa: Option<(f64, f64)>,
+    /// First and second derivative of κ_V/2 (J − 1)² + κ b by J, kPa; None where both are off.
+    volume_kpa: Option<(f64, f64)>,
 }
 
 /// Three changes of the deformation gradient in columns: the stretching dU (xx, yy, zz, yz, xz, xy), then the spin ω in its rotated frame.
@@ -125,22 +149,18 @@ impl DeformedPoint {
         let spin = polar.spin();
         let twist_kpa = spin * axial(&(stretch * biot_kpa - biot_kpa * stretch));
         let cofactor = cofactor(stretch);
-        let x = stretch.column(0).dot(&cofactor.column(0)) / GUARDED_VOLUME;
-        let guard_kpa = (x < 1.0).then(|| {
-            let bulk_kpa = law.material.bulk_kpa();
-            let (first, second) = (bulk_kpa / GUARDED_VOLUME, bulk_kpa / (GUARDED_VOLUME * GUARDED_VOLUME));
-            energy_kpa += bulk_kpa * (x - 1.0 - x.ln() - (x - 1.0).powi(2) / 2.0);
-            (first * (2.0 - 1.0 / x - x), second * (1.0 / (x * x) - 1.0))
-        });
-        if let Some((slope, _)) = guard_kpa {
+        let jacobian = stretch.column(0).dot(&cofactor.column(0));
+        let volume_kpa = law.volume_derivatives_kpa(jacobian);
+        if let Some((slope, _)) = volume_kpa {
+            energy_kpa += law.volume_energy_kpa(jacobian);
             biot_kpa += cofactor * slope;
         }
-        Some(Self { polar, energy_kpa, biot_kpa, spin, twist_kpa, guard_kpa })
+        Some(Self { polar, energy_kpa, biot_kpa, spin, twist_kpa, volume_kpa })
     }
 
     /// First Piola–Kirchhoff stress $P = \partial\psi/\partial F$, kPa: $R\,(T + [n]_\times)$ of the stretch, where $[n]_\times$ is
     /// what its spin works against if T and U do not share their axes (anisotropic tissue), and $\sigma_C F e_f e_f^\top$ of the fibre.
-    /// T has the guard's $\kappa b'\,\mathrm{cof}\,U$, which shares the axes of U.
+    /// T has the volume's $(\kappa_V (J - 1) + \kappa b')\,\mathrm{cof}\,U$, which shares the axes of U.
     pub(super) fn stress_kpa(&self, law: PointLaw<'_>) -> Matrix3<f64> {
         let mut local = self.biot_kpa + self.twist_kpa.cross_matrix();
         local.set_column(0, &(local.column(0) + self.polar.stretch.column(0) * law.tension_kpa));
@@ -170,7 +190,7 @@ impl DeformedPoint {
         for (index, place) in [(1, 2), (0, 2), (0, 1)].into_iter().enumerate() {
             stretching_kpa[(3 + index, 3 + index)] = shear[place] * (4.0 * law.stiffening);
         }
-        if let Some((slope, curvature)) = self.guard_kpa {
+        if let Some((slope, curvature)) = self.volume_kpa {
             let c = cofactor(u);
             let volume = Vector6::new(c[(0, 0)], c[(1, 1)], c[(2, 2)], 2.0 * c[(1, 2)], 2.0 * c[(0, 2)], 2.0 * c[(0, 1)]);
             stretching_kpa += volume * volume.transpose() * curvature + second_derivative_of_determinant(u) * slope;
@@ -305,7 +325,8 @@ mod tests {
     fn an_axis_of_a_change_is_that_of_the_tensor_it_stands_for() {
         let material = TransverseIsotropy::new(50.0, 15.0, 0.4).unwrap();
         let rest_stretch = Matrix3::identity();
-        let law = PointLaw { material: &material, stiffening: 1.0, rest_stretch: &rest_stretch, tension_kpa: 0.0 };
+        let law =
+            PointLaw { material: &material, stiffening: 1.0, rest_stretch: &rest_stretch, tension_kpa: 0.0, volume_stiffness_kpa: 0.0 };
         let turn = Rotation3::from_euler_angles(0.3, 1.4, -0.8);
         let point = DeformedPoint::new(&(turn * GRADIENT), law).unwrap();
         let gradient = Vector3::new(0.3, -0.5, 0.7);

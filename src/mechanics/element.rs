@@ -158,8 +158,10 @@ mod tests {
     fn forces_derive_from_the_energy_and_the_tangent_from_the_forces() {
         let (material, (element, _)) = (material(), element(false));
         let past = Matrix3::new(0.95, 0.02, 0.0, 0.02, 1.08, -0.03, 0.0, -0.03, 1.01);
-        for (height, stiffening, tension_kpa) in [(1.2, 1.0, 0.0), (1.2, 3.0, 80.0), (0.3, 1.0, 25.0)] {
-            let law = PointLaw { material: &material, stiffening, rest_stretch: &past, tension_kpa };
+        for (height, stiffening, tension_kpa, volume_stiffness_kpa) in
+            [(1.2, 1.0, 0.0, 0.0), (1.2, 3.0, 80.0, 0.0), (1.2, 1.0, 80.0, 300.0), (0.3, 1.0, 25.0, 0.0), (0.3, 1.0, 25.0, 100.0)]
+        {
+            let law = PointLaw { material: &material, stiffening, rest_stretch: &past, tension_kpa, volume_stiffness_kpa };
             let base = flat(&deformed(height));
             let energy = |x: &DVector<f64>| element.force(law, corners(x)).map(|f| DVector::from_element(1, f.energy_mn_mm)).ok_or(());
             let force = |x: &DVector<f64>| element.force(law, corners(x)).map(|f| all_forces(f.corners_mn)).ok_or(());
@@ -186,8 +188,8 @@ mod tests {
         let rest_stretch = Matrix3::identity();
         let (mut exact_count, mut projected_count) = (0, 0);
         for height in [0.15, 0.3, 0.45, 0.7, 0.9, 1.0, 1.2, 1.6] {
-            for tension_kpa in [0.0, 20.0, 200.0] {
-                let law = PointLaw { material: &material, stiffening: 1.0, rest_stretch: &rest_stretch, tension_kpa };
+            for (tension_kpa, volume_stiffness_kpa) in [(0.0, 0.0), (20.0, 0.0), (200.0, 0.0), (20.0, 150.0)] {
+                let law = PointLaw { material: &material, stiffening: 1.0, rest_stretch: &rest_stretch, tension_kpa, volume_stiffness_kpa };
                 let exact = dense(&element.tangent(law, deformed(height)).unwrap());
                 let convex = dense(&element.convex_tangent(law, deformed(height)).unwrap());
                 let (scale, least) = (exact.norm(), exact.symmetric_eigenvalues().min());
@@ -212,7 +214,8 @@ mod tests {
         for is_left_handed in [false, true] {
             let (element, axes) = element(is_left_handed);
             let rest_stretch = Matrix3::identity();
-            let law = PointLaw { material: &material, stiffening: 1.0, rest_stretch: &rest_stretch, tension_kpa: 0.0 };
+            let law =
+                PointLaw { material: &material, stiffening: 1.0, rest_stretch: &rest_stretch, tension_kpa: 0.0, volume_stiffness_kpa: 0.0 };
             let tangent = element.tangent(law, CORNERS).unwrap();
             let blocks = tangent.blocks_mn_per_mm();
             let right_handed = Matrix3::from_columns(&[axes.column(0), axes.column(1), axes.column(0).cross(&axes.column(1)).column(0)]);
@@ -231,7 +234,13 @@ mod tests {
     fn a_rotation_bears_no_force_and_turns_the_forces_along() {
         let (material, (element, _)) = (material(), element(false));
         let rest_stretch = Matrix3::identity();
-        let law = |tension_kpa| PointLaw { material: &material, stiffening: 1.0, rest_stretch: &rest_stretch, tension_kpa };
+        let law = |tension_kpa| PointLaw {
+            material: &material,
+            stiffening: 1.0,
+            rest_stretch: &rest_stretch,
+            tension_kpa,
+            volume_stiffness_kpa: 40.0,
+        };
         let turn = Rotation3::from_euler_angles(-2.0, 0.3, 1.4);
         let still = element.force(law(0.0), CORNERS.map(|x| turn * x)).unwrap().corners_mn;
         assert!(still.iter().all(|force| force.norm() < 1e-12));

@@ -209,6 +209,7 @@ impl Tangent {
                     stiffening: this.stiffening,
                     rest_stretch: &this.rest_stretch[first + index],
                     tension_kpa: this.tension_kpa[first + index],
+                    volume_stiffness_kpa: tissue.properties().volume_stiffness_kpa,
                 };
                 *item = of(element, law, corners[index].map(|corner| this.trial_mm[corner]));
             });
@@ -292,6 +293,7 @@ mod tests {
             fibre_stiffness_kpa: 30.0,
             transverse_stiffness_kpa: 12.0,
             poisson_ratio: 0.4,
+            volume_stiffness_kpa: 50.0,
             density_kg_per_mm3: 1e-6,
             damping_mass_per_s: 0.0,
             damping_stiffness_s: 0.01,

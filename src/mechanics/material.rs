@@ -13,6 +13,9 @@ pub struct PassiveProperties {
     pub transverse_stiffness_kpa: f64,
     /// Poisson's ratio ν: contraction across over stretch along the fibre, and within the cross-section.
     pub poisson_ratio: f64,
+    /// Resistance κ to a change of volume beyond that of the elastic constants: κ/2 (J − 1)² a unit volume (in linear kinematics
+    /// κ/2 (tr ε)²), kPa.
+    pub volume_stiffness_kpa: f64,
     /// Mass density, kg/mm³.
     pub density_kg_per_mm3: f64,
     /// Rayleigh damping α on the mass, 1/s.
@@ -52,6 +55,7 @@ impl PassiveProperties {
             return Err(MechanicsError::Property { property, value, requirement: "between 0 and 1" });
         }
         let not_negative = [
+            ("volume_stiffness_kpa", self.volume_stiffness_kpa),
             ("damping_mass_per_s", self.damping_mass_per_s),
             ("damping_stiffness_s", self.damping_stiffness_s),
             ("base_stiffness_normal_kpa_per_mm", self.base_stiffness_normal_kpa_per_mm),

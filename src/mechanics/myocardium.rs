@@ -102,7 +102,15 @@ impl Myocardium {
         for (tetrahedron, (corners, axes)) in mesh.tetrahedra().iter().zip(fibre_axes).enumerate() {
             let volume_mm3 = mesh.volume_mm3(tetrahedron);
             let gradients = shape_gradients(&mesh.corners_mm(tetrahedron));
-            add_element_stiffness(&mut stiffness, corners, &gradients, axes, volume_mm3, &materials[tetrahedron])?;
+            add_element_stiffness(
+                &mut stiffness,
+                corners,
+                &gradients,
+                axes,
+                volume_mm3,
+                &materials[tetrahedron],
+                properties.volume_stiffness_kpa,
+            )?;
             elements.push(Element::new(&gradients, axes, volume_mm3));
             let fibre = axes.column(0).into_owned();
             contraction_mm2.push(gradients.map(|gradient| fibre * (-volume_mm3 * fibre.dot(&gradient))));
@@ -236,6 +244,7 @@ impl Myocardium {
                 stiffening: 1.0,
                 rest_stretch: &rest_stretch,
                 tension_kpa: tension_kpa[tetrahedron],
+                volume_stiffness_kpa: self.properties.volume_stiffness_kpa,
             };
             let corners_mm = self.tetrahedra[tetrahedron].map(|corner| position_mm[corner]);
             element.force(law, corners_mm).map(|force| force.energy_mn_mm).ok_or(MechanicsError::InvertedElement { tetrahedron })
@@ -304,11 +313,13 @@ fn add_element_stiffness(
     axes: &Matrix3<f64>,
     volume_mm3: f64,
     material: &TransverseIsotropy,
+    volume_stiffness_kpa: f64,
 ) -> Result<(), MechanicsError> {
     let local = gradients.map(|gradient| axes.transpose() * gradient);
     for (a, &row) in corners.iter().enumerate() {
         for (b, &column) in corners.iter().enumerate() {
-            let block = axes * (material.stiffness_block(&local[a], &local[b]) * volume_mm3) * axes.transpose();
+            let of_volume = local[a] * local[b].transpose() * volume_stiffness_kpa;
+            let block = axes * ((material.stiffness_block(&local[a], &local[b]) + of_volume) * volume_mm3) * axes.transpose();
             if !stiffness.add_block(row, column, &block) {
                 return Err(MechanicsError::FieldSize { field: "neighbours in the matrix pattern", expected: 4, found: b });
             }

@@ -119,6 +119,7 @@ pub fn bare(stiffness_kpa: f64, poisson_ratio: f64) -> PassiveProperties {
         base_stiffness_isotropic_kpa_per_mm: 0.0,
         pericardium_stiffness_kpa_per_mm: 0.0,
         pericardium_damping_kpa_s_per_mm: 0.0,
+        volume_stiffness_kpa: 0.0,
         pericardium_base_share: 1.0,
         valve_ring_height_mm: 0.0,
         valve_ring_stiffness_kpa: 0.0,

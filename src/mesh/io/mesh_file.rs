@@ -94,6 +94,9 @@ impl MeshFile {
 
     /// A field of directions, one a tetrahedron, from the tetrahedra's fields or else from the points'.
     ///
+    /// Directions at points are averaged as vectors where their signs go on from point to point, so that fibres of +57° and −57° on the
+    /// two sides of a wall of one tetrahedron meet at 0° and not, by the shorter way, at 90°; else as axes, whose signs mean nothing.
+    ///
     /// # Errors
     /// [`MeshError::MissingField`] if neither has such a field of three components.
     pub fn directions(&self, name: &str) -> Result<Vec<Vector3<f64>>, MeshError> {
@@ -106,7 +109,9 @@ impl MeshFile {
             MeshError::MissingField { subject: "tetrahedra and points", name: name.into(), components: 3, available }
         })?;
         let missing = |&vertex: &usize| at_points.get(vertex).copied().unwrap_or_else(Vector3::zeros);
-        Ok(self.tetrahedra.iter().map(|corners| mean_direction(corners.each_ref().map(missing))).collect())
+        let corners: Vec<_> = self.tetrahedra.iter().map(|corners| corners.each_ref().map(missing)).collect();
+        let mean = if are_signs_meant(&corners) { mean_vector } else { mean_axis };
+        Ok(corners.into_iter().map(mean).collect())
     }
 
     /// The tagged boundary of `mesh` from the file's triangles and the codes in their field `field`.
@@ -135,8 +140,24 @@ impl MeshFile {
     }
 }
 
+/// Whether directions at the corners of tetrahedra go on from corner to corner: signs drawn by lot turn round along half of the edges,
+/// a thin wall of crossing fibres along few.
+fn are_signs_meant(corners: &[[Vector3<f64>; 4]]) -> bool {
+    const TURNED_LIMIT: f64 = 0.25;
+    let edges = corners.iter().flat_map(|&[a, b, c, d]| [(a, b), (a, c), (a, d), (b, c), (b, d), (c, d)]);
+    let turned = edges.filter(|(one, other)| one.dot(other) < 0.0).count();
+    (turned as f64) < TURNED_LIMIT * 6.0 * corners.len() as f64
+}
+
+/// The mean of vectors; their principal axis where they cancel out.
+fn mean_vector(directions: [Vector3<f64>; 4]) -> Vector3<f64> {
+    let mean = directions.iter().sum::<Vector3<f64>>() / 4.0;
+    let longest = directions.iter().map(Vector3::norm).fold(0.0, f64::max);
+    if mean.norm() > 1e-3 * longest { mean } else { mean_axis(directions) }
+}
+
 /// The principal axis of $\sum v v^\top$: the mean of directions whose sign means nothing.
-fn mean_direction(directions: [Vector3<f64>; 4]) -> Vector3<f64> {
+fn mean_axis(directions: [Vector3<f64>; 4]) -> Vector3<f64> {
     let spread: Matrix3<f64> = directions.iter().map(|v| v * v.transpose()).sum();
     if !spread.iter().all(|s| s.is_finite()) {
         return Vector3::zeros();

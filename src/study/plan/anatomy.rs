@@ -19,6 +19,8 @@ pub struct AnatomyPlan {
     pub edge_length_mm: f64,
     /// Fibre angles.
     pub fibres: FibrePlan,
+    /// Fibre angles of the free wall of the right ventricle: `fibre_angle_rv_endocardium_deg`, `fibre_angle_rv_epicardium_deg`.
+    pub fibres_rv: FibrePlan,
     /// `septal_direction`: a vector in world coordinates (RAS) from the long axis to the septum, which AHA angles start from; the
     /// anatomy's own choice where absent.
     pub septal_direction: Option<Vector3<f64>>,
@@ -113,13 +115,20 @@ pub(super) fn read(table: TableReader) -> AnatomyPlan {
     if matches!(source, AnatomySource::Mesh(_)) && table.has("edge_length_mm") {
         table.problem("edge_length_mm", "is of no use with a mesh", "take it away: the mesh has its edges");
     }
+    let angle = |key, default| table.number(key, -90.0..=90.0, default);
+    let fibres = FibrePlan {
+        endocardium_deg: angle("fibre_angle_endocardium_deg", 80.0),
+        epicardium_deg: angle("fibre_angle_epicardium_deg", -80.0),
+    };
+    let fibres_rv = FibrePlan {
+        endocardium_deg: angle("fibre_angle_rv_endocardium_deg", fibres.endocardium_deg),
+        epicardium_deg: angle("fibre_angle_rv_epicardium_deg", fibres.epicardium_deg),
+    };
     let plan = AnatomyPlan {
         source,
         edge_length_mm: table.number("edge_length_mm", 0.5..=20.0, 5.0),
-        fibres: FibrePlan {
-            endocardium_deg: table.number("fibre_angle_endocardium_deg", -90.0..=90.0, 80.0),
-            epicardium_deg: table.number("fibre_angle_epicardium_deg", -90.0..=90.0, -80.0),
-        },
+        fibres,
+        fibres_rv,
         septal_direction: table.vector("septal_direction").filter(|direction| {
             let is_direction = direction.norm() > 0.0;
             if !is_direction {

@@ -13,7 +13,7 @@ use crate::image::{CineReading, CineSequence, FieldOptions, HeartCodes, LabelMap
 use crate::study::RunContext;
 use crate::study::cine::StudyCine;
 use crate::study::drawn_heart::DrawnHeart;
-use crate::study::plan::{AnatomyPlan, AnatomySource, IdealisedLv, ImageSource, ImagesPlan, Plan, ReferenceLabels};
+use crate::study::plan::{AnatomyPlan, AnatomySource, FibrePlan, IdealisedLv, ImageSource, ImagesPlan, Plan, ReferenceLabels};
 
 /// A heart at rest with its images.
 pub(super) struct Patient {
@@ -156,8 +156,10 @@ fn prepared_images(
 /// What a study says of every anatomy.
 pub(super) fn anatomy_settings(plan: &AnatomyPlan) -> AnatomySettings {
     let default = AnatomySettings::default();
+    let rule = |fibres: FibrePlan| FibreRule { helix_endocardium_deg: fibres.endocardium_deg, helix_epicardium_deg: fibres.epicardium_deg };
     AnatomySettings {
-        fibres: FibreRule { helix_endocardium_deg: plan.fibres.endocardium_deg, helix_epicardium_deg: plan.fibres.epicardium_deg },
+        fibres: rule(plan.fibres),
+        fibres_rv: Some(rule(plan.fibres_rv)),
         septal_direction: plan.septal_direction.unwrap_or(default.septal_direction),
     }
 }
