@@ -80,7 +80,7 @@ parameter_table! {
     ActionPotentialDuration: Electrophysiology "action_potential_duration_s" ["s"] = 0.3 in 0.05..0.6, "Action potential duration APD.", "0.25-0.33 s";
     HeartPeriod: Electrophysiology "heart_period_s" ["s"] = 0.8 in 0.25..2.5, "Heart period HP; a cine sequence sets it.", "75 beats a minute";
     ContractionPeakLv: Mechanics "contraction_peak_lv_kpa" ["kPa"] = 120.0 in 0.0..1000.0, "Peak contraction σ0 of the left ventricle.", "chosen with the stiffness: EF 0.57, 114/68 mmHg on the idealised left ventricle; [Billet2009] §6.2 has 90";
-    ContractionPeakRv: Mechanics "contraction_peak_rv_kpa" ["kPa"] = 93.0 in 0.0..1000.0, "Peak contraction σ0 of the right ventricle.", "chosen: 70/90 of the left, as in [Billet2009] §6.2";
+    ContractionPeakRv: Mechanics "contraction_peak_rv_kpa" ["kPa"] = 125.0 in 0.0..1000.0, "Peak contraction σ0 of the right ventricle.", "chosen: ejects as much as the left of the idealised biventricle, EF 0.51; [Billet2009] §6.2 has 70";
     ContractionPeakScar: Mechanics "contraction_peak_scar_kpa" ["kPa"] = 80.0 in 0.0..1000.0, "Peak contraction σ0 of scar.", "chosen: 60/90 of the left, as in [Billet2009] §6.2";
     ContractionRate: Mechanics "contraction_rate_per_s" ["1/s"] = 10.0 in 0.5..100.0, "Contraction rate kATP.", "5-15 1/s";
     RelaxationRate: Mechanics "relaxation_rate_per_s" ["1/s"] = 15.0 in 0.5..200.0, "Relaxation rate kRS.", "chosen; 20-30 1/s where the wall is softer and recoils less";
@@ -96,8 +96,8 @@ parameter_table! {
     PericardiumStiffness: Mechanics "pericardium_stiffness_kpa_per_mm" ["kPa/mm"] = 0.0 in 0.0..1000.0, "Pericardial springs along the epicardial normal.", "off; [Hirschvogel2017] 0.075";
     PericardiumDamping: Mechanics "pericardium_damping_kpa_s_per_mm" ["kPa·s/mm"] = 0.005 in 0.0..100.0, "Pericardial dashpots along the epicardial normal.", "[Hirschvogel2017]";
     PericardiumBaseShare: Mechanics "pericardium_base_share" ["1"] = 1.0 in 0.0..1.0, "Pericardial springs at the base relative to those at the apex; between them linear in the distance to the base.", "uniform; [Strocchi2020] lets go of the base";
-    ValveRingHeight: Mechanics "valve_ring_height_mm" ["mm"] = 0.0 in 0.0..40.0, "Height below the base of the valves' fibrous ring, which is stiff and does not contract; 0 is none.", "off";
-    ValveRingStiffness: Mechanics "valve_ring_stiffness_kpa" ["kPa"] = 300.0 in 0.0..10000.0, "Young's modulus of that ring beyond the muscle's, isotropic.", "chosen";
+    ValveRingHeight: Mechanics "valve_ring_height_mm" ["mm"] = 0.0 in 0.0..40.0, "Height below the base of the valves' fibrous ring, which is stiff and does not contract; 0 is none.", "off: a base that is held needs none; 5-12 where it is free";
+    ValveRingStiffness: Mechanics "valve_ring_stiffness_kpa" ["kPa"] = 300.0 in 0.0..10000.0, "Young's modulus of that ring beyond the muscle's, isotropic.", "chosen; 100-300 differ little";
     ResistanceSystemic: Circulation "resistance_systemic_kpa_s_per_ml" ["kPa·s/mL"] = 0.12 in 0.001..2.0, "Peripheral resistance R of the systemic circulation.", "0.12-0.15";
     ImpedanceSystemic: Circulation "impedance_systemic_kpa_s_per_ml" ["kPa·s/mL"] = 0.008 in 0.0..0.2, "Characteristic impedance Z of the aorta.", "0.006-0.013";
     ComplianceSystemic: Circulation "compliance_systemic_ml_per_kpa" ["mL/kPa"] = 10.0 in 0.1..200.0, "Compliance C of the systemic arteries.", "8.6-12";
