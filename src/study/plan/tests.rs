@@ -226,3 +226,45 @@ proptest::proptest! {
         let _ = plan(SIMULATE, &[&text]);
     }
 }
+
+/// Files that exist stand for images here: a plan does not read them.
+fn drawn(kind: &str, anatomy: &str) -> String {
+    let (data, cine) = (env!("CARGO_MANIFEST_DIR"), "[images]\ncine = \"Cargo.toml\"\n");
+    let search = "[personalisation]\n[[personalisation.parameter]]\nname = \"contraction_peak_rv_kpa\"\nlower = 10\nupper = 200\n";
+    let search = if kind == "personalise" { search } else { "" };
+    format!("kind = \"{kind}\"\ndata = \"{data}\"\n[anatomy]\n{anatomy}{cine}{search}")
+}
+
+#[test]
+fn every_kind_with_images_takes_one_ventricle_or_two_from_labels_or_masks() {
+    let labels = "labels = \"Cargo.toml\"\ncode_cavity_rv = 3\nwall_thickness_rv_mm = 4\nlabel_slices = [2, 5]\n";
+    let masks = "mask_epicardium = \"Cargo.toml\"\nmask_endocardium_lv = \"Cargo.toml\"\nmask_endocardium_rv = \"Cargo.toml\"\nframe = 2\n";
+    for kind in ["mesh", "track", "personalise"] {
+        let [one, other] = [labels, masks].map(|anatomy| plan(&drawn(kind, anatomy), &[]).unwrap());
+        let AnatomySource::Labels(from_labels) = one.anatomy.source else { panic!("{:?}", one.anatomy) };
+        assert_eq!((from_labels.source.codes().cavity_rv, from_labels.slices), (Some(3), Some(2..6)));
+        assert_eq!(from_labels.wall_thickness_rv_mm, 4.0);
+        assert_eq!(other.input_files().len(), 4);
+        let AnatomySource::Labels(from_masks) = other.anatomy.source else { panic!("{:?}", other.anatomy) };
+        assert_eq!((from_masks.source.codes(), from_masks.frame), (crate::image::MASK_CODES, 2));
+    }
+}
+
+#[test]
+fn keys_of_labels_and_masks_that_contradict_each_other_are_named() {
+    let told = |anatomy: &str| problem(&drawn("mesh", anatomy), &[]);
+    let labels = |more: &str| told(&format!("labels = \"Cargo.toml\"\n{more}"));
+    assert!(labels("code_cavity_rv = 1\n").contains("stands for the left ventricle"));
+    assert!(labels("code_wall_rv = 4\n").contains("stands without code_cavity_rv"));
+    assert!(labels("base_normal = [0, 0, 1]\n").contains("anatomy.base_point_mm is missing"));
+    assert!(labels("base_point_mm = [0, 0, 1]\nbase_normal = [0, 0, 0]\n").contains("base_normal = [0, 0, 0] has no direction"));
+    assert!(labels("base = \"mid_slice\"\nbase_point_mm = [0, 0, 1]\nbase_normal = [0, 0, 1]\n").contains("take one of the two away"));
+    assert!(labels("label_slices = [5, 2]\n").contains("is no range of slices"));
+    assert!(labels("mask_epicardium = \"Cargo.toml\"\nmask_endocardium_lv = \"Cargo.toml\"\n").contains("stands beside mask_epicardium"));
+    assert!(told("mask_epicardium = \"Cargo.toml\"\n").contains("anatomy.mask_endocardium_lv is missing"));
+    let coded = "mask_epicardium = \"Cargo.toml\"\nmask_endocardium_lv = \"Cargo.toml\"\ncode_wall_lv = 5\n";
+    assert!(told(coded).contains("code_wall_lv = 5 is of no use with masks"));
+    assert!(
+        problem(&format!("{SIMULATE}[anatomy]\n").replace("[anatomy]\n", ""), &["anatomy.code_cavity_rv=3"]).contains("without labels")
+    );
+}

@@ -93,39 +93,38 @@ pub(super) struct RestingHeart {
     pub(super) anatomy: Anatomy,
     /// Of a heart that was drawn, what was drawn and the fields through it.
     pub(super) drawn: Option<(DrawnHeart, HeartFields)>,
-    /// The images it was drawn on.
-    pub(super) study: Option<StudyCine>,
-    /// The frame that it was drawn on.
-    pub(super) frame: usize,
+    /// The images it was drawn on, and the frame.
+    pub(super) study: Option<(StudyCine, usize)>,
     meshing_s: f64,
 }
 
 impl RestingHeart {
     fn new(plan: &Plan, context: &RunContext) -> Result<Self, RunError> {
-        let (drawn, study) = match &plan.anatomy.source {
-            AnatomySource::Labels(drawn) => {
-                context.progress().stage("reading images and labels", None);
-                let (heart, study) = read_drawn(plan, drawn)?;
-                (Some((heart, drawn)), study)
-            }
-            _ => (None, None),
-        };
+        let settings = anatomy_settings(&plan.anatomy);
+        match &plan.anatomy.source {
+            AnatomySource::Labels(wanted) => Self::of_drawing(plan, wanted, context),
+            AnatomySource::IdealisedLv(shape) => Self::of_shape(context, || idealised_anatomy(&plan.anatomy, shape)),
+            AnatomySource::IdealisedBiventricle { shape, .. } => Self::of_shape(context, || biventricular_anatomy(&plan.anatomy, shape)),
+            AnatomySource::Mesh(mesh) => Self::of_shape(context, || anatomy_of_file(mesh, &settings)),
+        }
+    }
+
+    fn of_drawing(plan: &Plan, wanted: &LabelsPlan, context: &RunContext) -> Result<Self, RunError> {
+        context.progress().stage("reading images and labels", None);
+        let (heart, study) = read_drawn(plan, wanted)?;
         context.progress().stage("building the anatomy", None);
         let started = Instant::now();
-        let settings = anatomy_settings(&plan.anatomy);
-        let (anatomy, drawn) = match (&plan.anatomy.source, drawn) {
-            (_, Some((heart, wanted))) => {
-                let fields = heart_fields(&heart.labels, &heart.codes, &wanted.field_options())?;
-                let mesher = MesherSettings::with_edge_length_mm(plan.anatomy.edge_length_mm);
-                (build_from_fields(&fields, &mesher, &settings)?, Some((heart, fields)))
-            }
-            (AnatomySource::IdealisedLv(shape), _) => (idealised_anatomy(&plan.anatomy, shape)?, None),
-            (AnatomySource::IdealisedBiventricle { shape, .. }, _) => (biventricular_anatomy(&plan.anatomy, shape)?, None),
-            (AnatomySource::Mesh(mesh), _) => (anatomy_of_file(mesh, &settings)?, None),
-            (AnatomySource::Labels(_), None) => return Err(RunError::NothingToFit),
-        };
-        let frame = if let AnatomySource::Labels(drawn) = &plan.anatomy.source { drawn.frame } else { 0 };
-        Ok(Self { anatomy, drawn, study, frame, meshing_s: started.elapsed().as_secs_f64() })
+        let fields = heart_fields(&heart.labels, &heart.codes, &wanted.field_options())?;
+        let mesher = MesherSettings::with_edge_length_mm(plan.anatomy.edge_length_mm);
+        let anatomy = build_from_fields(&fields, &mesher, &anatomy_settings(&plan.anatomy))?;
+        let study = study.map(|study| (study, wanted.frame));
+        Ok(Self { anatomy, drawn: Some((heart, fields)), study, meshing_s: started.elapsed().as_secs_f64() })
+    }
+
+    fn of_shape(context: &RunContext, build: impl FnOnce() -> Result<Anatomy, RunError>) -> Result<Self, RunError> {
+        context.progress().stage("building the anatomy", None);
+        let started = Instant::now();
+        Ok(Self { anatomy: build()?, drawn: None, study: None, meshing_s: started.elapsed().as_secs_f64() })
     }
 }
 
@@ -215,7 +214,7 @@ fn report_of(heart: &RestingHeart) -> MeshReport {
         masks_ml: sizes.map(|sizes| sizes.labelled_wall_ml + sizes.grown_wall_ml),
     };
     let warnings = heart.drawn.iter().flat_map(|(drawn, fields)| drawn.warnings.iter().chain(&fields.warnings).cloned());
-    let of_images = heart.study.iter().flat_map(|study| study.warnings.iter().cloned());
+    let of_images = heart.study.iter().flat_map(|(study, _)| study.warnings.iter().cloned());
     MeshReport {
         quality: MeshQuality::of(&anatomy.mesh),
         volumes: anatomy.cavities.iter().map(cavity).chain([wall]).collect(),

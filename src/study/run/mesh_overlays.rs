@@ -28,10 +28,10 @@ const SURFACES: [(SurfaceTag, &str); 4] = [
 
 /// Draws `slices.png` and, of further views, `long_axis.png`, `long_axis_2.png`, …; what is odd about the views, in words.
 pub(super) fn draw_overlays(folder: &Path, images: &ImagesPlan, heart: &RestingHeart) -> Result<Vec<String>, RunError> {
-    let Some(study) = &heart.study else { return Ok(Vec::new()) };
+    let Some((study, frame)) = &heart.study else { return Ok(Vec::new()) };
     let mut warnings = Vec::new();
-    let time_s = study.cine.times_s().get(heart.frame).copied().unwrap_or_default();
-    draw(&folder.join("slices.png"), "Short axis, frame of the labels", &study.cine, heart.frame, heart, true)?;
+    let time_s = study.cine.times_s().get(*frame).copied().unwrap_or_default();
+    draw(&folder.join("slices.png"), "Short axis, frame of the labels", &study.cine, *frame, heart, true)?;
     for (number, CineReading { cine, warnings: odd }) in study.read_long_axis(images)?.into_iter().enumerate() {
         warnings.extend(odd);
         let name = if number == 0 { "long_axis.png".to_string() } else { format!("long_axis_{}.png", number + 1) };
