@@ -4,7 +4,7 @@
 use std::hint::black_box;
 use std::ops::ControlFlow;
 
-use cardiotwin::heart::{SimulationPlan, simulate};
+use cardiotwin::heart::{HeartModel, SimulationPlan, simulate};
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 
 mod hearts;
@@ -24,5 +24,29 @@ fn beat(criterion: &mut Criterion<hearts::ProcessorTime>) {
     group.finish();
 }
 
-criterion_group! { name = benches; config = hearts::criterion(); targets = beat }
+/// A contraction of soft tissue with large rotations beside the linear one of a stiffer wall, both on one core.
+fn kinematics(criterion: &mut Criterion<hearts::ProcessorTime>) {
+    let mut group = criterion.benchmark_group("kinematics");
+    let core = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let (name, edge_length_mm) = hearts::SIZES[0];
+    let plan = SimulationPlan { start_time_s: 0.0, end_time_s: 0.4, frame_times_s: vec![] };
+    let models = [("linear", hearts::heart(edge_length_mm)), ("corotational", hearts::soft_heart(edge_length_mm))];
+    let contract = |model: &HeartModel| simulate(model, &plan, &[], &mut |_, _| ControlFlow::Continue(())).unwrap();
+    let seconds = [0, 1].map(|index| {
+        core.install(|| {
+            let start_s = hearts::processor_s();
+            contract(black_box(&models[index].1));
+            hearts::processor_s() - start_s
+        })
+    });
+    println!("{name}: 0.4 s linear {:.2} s, corotational {:.2} s, {:.1} times it", seconds[0], seconds[1], seconds[1] / seconds[0]);
+    for (kinematics, model) in &models {
+        group.bench_function(BenchmarkId::new(*kinematics, name), |bencher| {
+            core.install(|| bencher.iter(|| contract(black_box(model))));
+        });
+    }
+    group.finish();
+}
+
+criterion_group! { name = benches; config = hearts::criterion(); targets = beat, kinematics }
 criterion_main!(benches);

@@ -12,8 +12,8 @@ use std::time::Duration;
 
 use cardiotwin::anatomy::mesher::MesherSettings;
 use cardiotwin::anatomy::{Anatomy, AnatomySettings};
-use cardiotwin::heart::{HeartModel, ModelSettings, Parameters};
-use cardiotwin::mechanics::{Myocardium, PassiveProperties, StepOperator};
+use cardiotwin::heart::{HeartModel, ModelSettings, Parameter, Parameters};
+use cardiotwin::mechanics::{Kinematics, Myocardium, PassiveProperties, StepOperator};
 use cardiotwin::numerics::median;
 use cardiotwin::phantom::IdealisedLv;
 use criterion::Criterion;
@@ -55,6 +55,20 @@ pub fn step_operator(anatomy: &Anatomy) -> StepOperator {
 /// It ready to beat in steps of 5 ms with the default parameters.
 pub fn heart(edge_length_mm: f64) -> HeartModel {
     HeartModel::new(left_ventricle(edge_length_mm), Parameters::default(), ModelSettings::default()).unwrap()
+}
+
+/// The same of soft tissue under large rotations.
+pub fn soft_heart(edge_length_mm: f64) -> HeartModel {
+    let values = [
+        (Parameter::FibreStiffness, 30.0),
+        (Parameter::TransverseStiffness, 20.0),
+        (Parameter::ContractionPeakLv, 80.0),
+        (Parameter::ContractionRate, 15.0),
+        (Parameter::RelaxationRate, 25.0),
+    ];
+    let parameters = values.iter().fold(Parameters::default(), |all, &(parameter, value)| all.with(parameter, value).unwrap());
+    let settings = ModelSettings { kinematics: Kinematics::Corotational, ..ModelSettings::default() };
+    HeartModel::new(left_ventricle(edge_length_mm), parameters, settings).unwrap()
 }
 
 /// Seconds that this thread has computed: others' use of the machine does not count.

@@ -10,7 +10,7 @@
 //! $$Y(p) = Y^\ast + \delta + \sum_k (p_k - p_k^\ast)\, W_k, \qquad A\,\delta = r(Y^\ast, p^\ast), \quad A\,W_k = \partial_y V_k,$$
 //!
 //! with $A = K_T + K_{img} - \sum_k (p_k^\ast - \bar p_k)\, \partial_y^2 V_k$ As in linear
-//! kinematics the cavities' answer is affine in p and the valves give the pressures. The tangent is kept while rounds converge fast, and
+//! kinematics the cavities' answer is affine in p and the valves give the pressures. The tangent is kept while rounds converge fast, also from step to step, and
 //! made convex where it is not positive definite; what a round may move is measured by the residual or by the potential, see `potential`.
 
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -38,10 +38,10 @@ const GROWTH_LIMIT: f64 = 3.0;
 const RESIDUAL_TOLERANCE: f64 = 1e-7;
 
 /// Residual that the linear solve of a round may leave, relative.
-const FORCING: f64 = 1e-3;
+const FORCING: f64 = 1e-2;
 
 /// A round that leaves more of the residual than this is followed by a new tangent.
-const KEEP_TANGENT_BELOW: f64 = 0.05;
+const KEEP_TANGENT_BELOW: f64 = 0.1;
 
 /// A round with a convex tangent that leaves less of the residual than this is followed by the exact tangent.
 const EXACT_BELOW: f64 = 0.5;
@@ -81,6 +81,8 @@ pub(super) struct NewtonWorkspace {
     /// p* a ventricle, kPa.
     pub(super) pressure_kpa: Vec<f64>,
     curvature: Curvature,
+    /// Whether there is a tangent of an earlier step: with it a step begins.
+    has_tangent: bool,
     /// Whether the tangent serves another round.
     is_tangent_good: bool,
 }
@@ -126,8 +128,10 @@ impl HeartModel {
             let report = self.solve_round(state, workspace).map_err(mechanics)?;
             solve = SolveReport { iteration_count: solve.iteration_count + report.iteration_count, ..report };
             let Some(round) = self.take_round(state, &goal, residual_mn, workspace)? else {
-                let Some(curvature) = workspace.newton.curvature.next() else { break };
-                (workspace.newton.curvature, workspace.newton.is_tangent_good) = (curvature, false);
+                if !std::mem::take(&mut workspace.newton.is_tangent_good) {
+                    let Some(curvature) = workspace.newton.curvature.next() else { break };
+                    workspace.newton.curvature = curvature;
+                }
                 residual_mn = self.stay(state, workspace).map_err(mechanics)?;
                 continue;
             };
@@ -149,16 +153,20 @@ impl HeartModel {
         Err(StepError::NotConverged { time_s, step_s, residual_mn, tolerance_mn, volume_defect_ml: defect_mm3 / MM3_PER_ML })
     }
 
-    /// The first trial: the motion and the pressures go on as they are; from where the heart is if that turns a tetrahedron inside out.
+    /// The first trial: the motion goes on with its acceleration, the pressures as they are; from where the heart is if that turns a
+    /// tetrahedron inside out.
     /// Gives the norm of r there.
     fn start(&self, state: &HeartState, workspace: &mut StepWorkspace) -> Result<f64, MechanicsError> {
         workspace.predict(state, self.settings.step_s);
+        let curve_s2 = self.settings.step_s.powi(2);
+        workspace.trial_mm.iter_mut().zip(&state.motion.acceleration_mm_per_s2).for_each(|(trial, a)| *trial += a * curve_s2);
         if self.operator.update_force(&workspace.trial_mm, &mut workspace.system).is_err() {
             workspace.trial_mm.copy_from_slice(&state.motion.position_mm);
             self.operator.update_force(&workspace.trial_mm, &mut workspace.system)?;
         }
         let newton = &mut workspace.newton;
-        (newton.curvature, newton.is_tangent_good) = (Curvature::Exact, false);
+        newton.is_tangent_good = newton.has_tangent && newton.curvature == Curvature::Exact;
+        newton.curvature = Curvature::Exact;
         newton.pressure_kpa.clear();
         newton.pressure_kpa.extend(state.ventricles.iter().map(|ventricle| ventricle.pressure_kpa));
         newton.direction_mm.clone_from(&workspace.trial_mm);
@@ -222,6 +230,7 @@ impl HeartModel {
     fn linearise(&self, state: &HeartState, workspace: &mut StepWorkspace) -> Result<(), MechanicsError> {
         let StepWorkspace { system, trial_mm, newton, .. } = workspace;
         let linearisation = if newton.curvature == Curvature::Exact { Linearisation::Exact } else { Linearisation::Convex };
+        newton.has_tangent = true;
         self.operator.linearise(trial_mm, linearisation, system)?;
         if let Some(tangent) = system.tangent.as_mut().filter(|_| newton.curvature != Curvature::Convex) {
             for (ventricle, (_, cavity)) in self.anatomy.cavities.iter().enumerate() {

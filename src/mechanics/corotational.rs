@@ -110,7 +110,7 @@ impl Polar {
             if determinant.is_nan() || determinant <= 0.0 {
                 return None;
             }
-            let next = (rotation + cofactor / determinant) / 2.0;
+            let next = rotation * 0.5 + cofactor * (0.5 / determinant);
             let change = (next - rotation).norm_squared();
             rotation = next;
             // What is left is of the order of the change's square.
@@ -126,7 +126,7 @@ impl Polar {
     fn spin(&self) -> Matrix3<f64> {
         let generator = Matrix3::identity() * self.stretch.trace() - self.stretch;
         let cofactor = cofactor(&generator);
-        cofactor / generator.column(0).dot(&cofactor.column(0))
+        cofactor * generator.column(0).dot(&cofactor.column(0)).recip()
     }
 
     /// dU along dF: with $R^\top dF = \Omega U + dU$, the spin Ω takes up the skew part.

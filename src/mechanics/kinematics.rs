@@ -120,7 +120,6 @@ impl Tangent {
 
     /// Begins a step from a state: the damping of the stretch, and no tension.
     pub(super) fn begin(&mut self, tissue: &Myocardium, state: &MotionState, scheme: &Coefficients) -> Result<(), MechanicsError> {
-        self.is_linearised = false;
         self.tension_kpa.fill(0.0);
         let (damping_s, rate_per_s) = (tissue.properties().damping_stiffness_s, scheme.damping_factor());
         let share = damping_s * rate_per_s;
@@ -142,7 +141,6 @@ impl Tangent {
 
     /// Sets the tension σC, kPa a tetrahedron.
     pub(super) fn set_tension(&mut self, tension_kpa: &[f64]) {
-        self.is_linearised = false;
         self.tension_kpa.copy_from_slice(tension_kpa);
     }
 
