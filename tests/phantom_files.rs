@@ -83,9 +83,11 @@ fn what_is_written_is_read_back_as_a_patients_files_with_the_truth_beside_it() {
     // Labels: every voxel is one tissue, so that the base may be half a slice off; this one lies 0.25 mm above the border of two slices.
     let maps = read_label_maps(&file("labels.nii.gz")).unwrap();
     assert_eq!((maps.len(), maps[0].grid().shape()), (10, cine.grid().shape()));
-    let lines =
-        measure_volumes(&CurveSource::Labels { path: file("labels.nii.gz"), timing: None, code: 1, slices: None }, &file("volumes"))
-            .unwrap();
+    let lines = measure_volumes(
+        &CurveSource::Labels { path: file("labels.nii.gz"), timing: None, code: 1, code_right: None, slices: None },
+        &file("volumes"),
+    )
+    .unwrap();
     assert!(lines[1].starts_with("EDV"), "{lines:?}");
     let labels_ml = column(&file("volumes/volumes.csv"), "volume_lv_ml");
     // The file's affine is in single precision.

@@ -109,6 +109,9 @@ pub(super) struct VolumesArguments {
     /// Of a label map: code of the cavity
     #[arg(long, value_name = "CODE", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..))]
     pub(super) code: u8,
+    /// Of a label map: code of the right cavity, whose curve is then found too
+    #[arg(long, value_name = "CODE", value_parser = clap::value_parser!(u8).range(1..))]
+    pub(super) code_right: Option<u8>,
     /// Of a label map: first and last slice that count, from 0
     #[arg(long, value_name = "FIRST..LAST", value_parser = slice_range)]
     pub(super) slices: Option<[usize; 2]>,

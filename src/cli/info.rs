@@ -44,8 +44,9 @@ fn table(summary: &ImageSummary) -> String {
         line("label", format!("{}: {volume}", label.code));
     }
     if !summary.slice_shifts_mm.is_empty() {
-        let shifts: Vec<String> = summary.slice_shifts_mm.iter().map(|[i, j]| format!("{:.1}", i.hypot(*j))).collect();
-        line("slice shifts", format!("{} mm", shifts.join(" ")));
+        let words = |shift: &Option<[f64; 2]>| shift.map_or("?".into(), |[i, j]| format!("{:.1}", i.hypot(j)));
+        let shifts: Vec<String> = summary.slice_shifts_mm.iter().map(words).collect();
+        line("slice shifts", format!("{} mm (?: not estimable)", shifts.join(" ")));
     }
     for warning in &summary.warnings {
         line("warning", warning.clone());

@@ -18,7 +18,7 @@ pub(super) fn measure(arguments: VolumesArguments) -> anyhow::Result<Exit> {
 }
 
 fn source_of(arguments: VolumesArguments) -> anyhow::Result<(CurveSource, PathBuf)> {
-    let VolumesArguments { path, output, data, settings, timing, code, slices, period_s } = arguments;
+    let VolumesArguments { path, output, data, settings, timing, code, code_right, slices, period_s } = arguments;
     let folder = output.clone().unwrap_or_else(|| "volumes".into());
     let has_ending = |ending: &str| path.extension().is_some_and(|found| found.eq_ignore_ascii_case(ending));
     if has_ending("toml") {
@@ -33,5 +33,5 @@ fn source_of(arguments: VolumesArguments) -> anyhow::Result<(CurveSource, PathBu
         return Ok((CurveSource::Table { path, period_s }, folder));
     }
     let slices = slices.map(|ends| ends[0]..ends[1] + 1);
-    Ok((CurveSource::Labels { path, timing, code, slices }, folder))
+    Ok((CurveSource::Labels { path, timing, code, code_right, slices }, folder))
 }

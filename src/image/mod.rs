@@ -5,6 +5,7 @@ mod cine;
 mod contour;
 mod dicom;
 mod error;
+mod frame_order;
 mod grid;
 mod mask;
 mod nifti;
@@ -31,11 +32,11 @@ pub use mask::{
 pub use nifti::{
     CineReading, NiftiImage, read_cine, read_label_map, read_label_maps, read_nifti, write_cine, write_label_map, write_label_maps,
 };
-pub use preprocess::{PREPARED_MAX, PreprocessSettings, preprocess};
+pub use preprocess::{PREPARED_MAX, PreprocessSettings, preprocess, resampled_isotropic};
 pub use sampling::CineInstant;
 pub use smoothing::gaussian_smoothed;
 pub use source::{read_cine_source, read_views, summarise};
-pub use summary::{ImageSummary, LabelSummary};
+pub use summary::{ImageSummary, LabelSummary, cine_warnings};
 pub use timing::CineTiming;
 pub use volume::{LabelMap, Volume};
 pub use volume_curve::{CurvePoint, MidDiastole, VolumeCurve};

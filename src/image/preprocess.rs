@@ -59,6 +59,16 @@ pub fn preprocess(cine: &CineSequence, settings: &PreprocessSettings) -> Result<
     CineSequence::new(frames, cine.times_s().to_vec(), cine.period_s())
 }
 
+/// One image on isotropic voxels, by default of its finest spacing; the grid is that of [`preprocess`].
+///
+/// # Errors
+/// [`ImageError::Preprocessing`] if the spacing is senseless.
+pub fn resampled_isotropic(image: &Volume, spacing_mm: Option<f64>) -> Result<Volume, ImageError> {
+    let grid = isotropic_grid(image.grid(), spacing_mm)?;
+    let values = resampled(image.values(), image.grid(), &grid);
+    Volume::new(grid, values)
+}
+
 /// The value below which a fraction `q` of the values lie (the nearest rank); reorders them.
 fn quantile(values: &mut [f32], q: f64) -> f32 {
     let rank = (q * (values.len() - 1) as f64).round() as usize;
@@ -84,14 +94,14 @@ fn resampled(values: &[f32], old: &Grid, new: &Grid) -> Vec<f32> {
     let [i_nodes, j_nodes, k_nodes] = [0, 1, 2].map(|axis| nodes(new.shape()[axis], old.shape()[axis], ratio[axis]));
     let [ni, nj, _] = old.shape();
     let mut resampled = Vec::with_capacity(new.voxel_count());
+    // Between slices and rows first: what is left to look up along i is one row that stays in the cache.
+    let (mut slice, mut row) = (vec![0.0; ni * nj], vec![0.0; ni]);
     for k in &k_nodes {
+        let plane = |k: usize| &values[ni * nj * k..][..ni * nj];
+        mix_all(&mut slice, plane(k.lower), plane(k.upper), k.weight);
         for j in &j_nodes {
-            let row = |j: usize, k: usize| &values[ni * (j + nj * k)..][..ni];
-            let rows = [row(j.lower, k.lower), row(j.upper, k.lower), row(j.lower, k.upper), row(j.upper, k.upper)];
-            resampled.extend(i_nodes.iter().map(|i| {
-                let along = rows.map(|row| mix(row[i.lower], row[i.upper], i.weight));
-                mix(mix(along[0], along[1], j.weight), mix(along[2], along[3], j.weight), k.weight)
-            }));
+            mix_all(&mut row, &slice[ni * j.lower..][..ni], &slice[ni * j.upper..][..ni], j.weight);
+            resampled.extend(i_nodes.iter().map(|i| mix(row[i.lower], row[i.upper], i.weight)));
         }
     }
     resampled
@@ -99,6 +109,10 @@ fn resampled(values: &[f32], old: &Grid, new: &Grid) -> Vec<f32> {
 
 fn mix(a: f32, b: f32, weight: f32) -> f32 {
     a + weight * (b - a)
+}
+
+fn mix_all(mixed: &mut [f32], a: &[f32], b: &[f32], weight: f32) {
+    mixed.iter_mut().zip(a.iter().zip(b)).for_each(|(mixed, (a, b))| *mixed = mix(*a, *b, weight));
 }
 
 /// Between which old voxels a new one lies along an axis.

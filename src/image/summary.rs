@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 
+use super::frame_order::frame_warnings;
 use super::timing::median;
 use super::{CineSequence, Grid, Volume, estimate_slice_shifts};
 
@@ -43,8 +44,8 @@ pub struct ImageSummary {
     pub intensity_range: [f64; 2],
     /// The codes of a label map; empty for an image of intensities.
     pub labels: Vec<LabelSummary>,
-    /// How far each slice lies beside where its neighbours suggest, mm along i and j; empty where that cannot be told.
-    pub slice_shifts_mm: Vec<[f64; 2]>,
+    /// How far each slice lies beside where its neighbours suggest, mm along i and j, none where that cannot be told; empty for labels.
+    pub slice_shifts_mm: Vec<Option<[f64; 2]>>,
     /// What is odd, in words.
     pub warnings: Vec<String>,
 }
@@ -64,11 +65,13 @@ impl ImageSummary {
         let mut summary = Self::of_frames(name, cine.frames(), warnings);
         summary.frame_times_s = cine.times_s().to_vec();
         summary.period_s = Some(cine.period_s());
-        summary.warnings.extend(timing_warnings(cine));
         if summary.labels.is_empty() {
-            let shifts = estimate_slice_shifts(cine);
+            summary.warnings.extend(cine_warnings(cine));
+            let shifts = estimate_slice_shifts(cine, None);
             summary.warnings.extend(shifts.warnings(SHIFT_REPORTED_MM));
-            summary.slice_shifts_mm = shifts.shift_mm.iter().map(|shift| [shift.x, shift.y]).collect();
+            summary.slice_shifts_mm = shifts.shift_mm.iter().map(|shift| shift.map(|shift| [shift.x, shift.y])).collect();
+        } else {
+            summary.warnings.extend(timing_warnings(cine));
         }
         summary
     }
@@ -102,6 +105,11 @@ impl ImageSummary {
             warnings,
         }
     }
+}
+
+/// What is odd about the times and the order of a beat's frames, in words.
+pub fn cine_warnings(cine: &CineSequence) -> Vec<String> {
+    timing_warnings(cine).into_iter().chain(frame_warnings(cine)).collect()
 }
 
 /// The codes of a label map, background left out; none if the values are not a few small whole numbers.

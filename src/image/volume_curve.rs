@@ -10,7 +10,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::{ImageError, LabelMap};
-use crate::numerics::QuadraticProgram;
+use crate::numerics::{QpError, QuadraticProgram};
 
 /// Volumes of one cavity at instants of one beat, periodic.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,6 +18,13 @@ pub struct VolumeCurve {
     times_s: Vec<f64>,
     volumes_ml: Vec<f64>,
     period_s: f64,
+}
+
+/// A curve that ejects once and fills once.
+struct NearestBeat {
+    end_diastole: usize,
+    end_systole: usize,
+    volumes_ml: Vec<f64>,
 }
 
 /// One instant of a curve.
@@ -157,15 +164,68 @@ impl VolumeCurve {
     /// # Errors
     /// [`ImageError::InconsistentVolumeCurve`] if `weight` is negative or the quadratic program has no answer.
     pub fn smoothed(&self, weight: f64) -> Result<Self, ImageError> {
+        self.with_volumes(self.nearest_beat(weight)?.volumes_ml)
+    }
+
+    /// The smooth curves of two ventricles that are nearest to their measured ones and eject the same volume, $v^L_{ED} - v^L_{ES} = v^R_{ED} - v^R_{ES}$:
+    /// one program for both, with the turning points that each has on its own.
+    ///
+    /// # Errors
+    /// As [`VolumeCurve::smoothed`].
+    pub fn smoothed_to_equal_strokes(left: &Self, right: &Self, weight: f64) -> Result<(Self, Self), ImageError> {
+        let failed = |error: QpError| ImageError::InconsistentVolumeCurve { reason: error.to_string() };
+        let (lefts, rights) = (left.nearest_beat(weight)?, right.nearest_beat(weight)?);
+        let (m, n) = (left.len(), right.len());
+        let block = |one: DMatrix<f64>, other: DMatrix<f64>| {
+            let mut both = DMatrix::zeros(m + n, m + n);
+            both.view_mut((0, 0), (m, m)).copy_from(&one);
+            both.view_mut((m, m), (n, n)).copy_from(&other);
+            both
+        };
+        let measured = DVector::from_iterator(m + n, left.volumes_ml.iter().chain(&right.volumes_ml).copied());
+        let mut strokes = DMatrix::zeros(1, m + n);
+        for (place, sign) in
+            [(lefts.end_diastole, 1.0), (lefts.end_systole, -1.0), (m + rights.end_diastole, -1.0), (m + rights.end_systole, 1.0)]
+        {
+            strokes[(0, place)] = sign;
+        }
+        let rows =
+            block(left.monotone_rows(lefts.end_diastole, lefts.end_systole), right.monotone_rows(rights.end_diastole, rights.end_systole));
+        let program = QuadraticProgram::new(block(left.hessian(weight), right.hessian(weight)), -2.0 * measured)
+            .and_then(|program| program.with_inequalities(rows, DVector::zeros(m + n)))
+            .and_then(|program| program.with_equalities(strokes, DVector::zeros(1)))
+            .map_err(failed)?;
+        let volumes_ml = program.solve().map_err(failed)?.x;
+        Ok((left.with_volumes(volumes_ml.as_slice()[..m].to_vec())?, right.with_volumes(volumes_ml.as_slice()[m..].to_vec())?))
+    }
+
+    /// The same curve with all volumes times a factor.
+    ///
+    /// # Errors
+    /// [`ImageError::InconsistentVolumeCurve`] if the factor is not positive and finite.
+    pub fn scaled(&self, factor: f64) -> Result<Self, ImageError> {
+        self.with_volumes(self.volumes_ml.iter().map(|volume_ml| factor * volume_ml).collect())
+    }
+
+    fn with_volumes(&self, volumes_ml: Vec<f64>) -> Result<Self, ImageError> {
+        Self::new(self.times_s.clone(), volumes_ml, self.period_s)
+    }
+
+    /// 2 (I + λ Δ²ᵀ Δ²).
+    fn hessian(&self, weight: f64) -> DMatrix<f64> {
+        let second = self.second_differences();
+        2.0 * (DMatrix::identity(self.len(), self.len()) + weight * second.transpose() * second)
+    }
+
+    fn nearest_beat(&self, weight: f64) -> Result<NearestBeat, ImageError> {
         let failed = |reason: String| ImageError::InconsistentVolumeCurve { reason };
         if !(weight >= 0.0 && weight.is_finite()) {
             return Err(failed(format!("a smoothing weight of {weight} is not usable")));
         }
         let count = self.len();
-        let second = self.second_differences();
-        let hessian = 2.0 * (DMatrix::identity(count, count) + weight * second.transpose() * second);
+        let hessian = self.hessian(weight);
         let measured = DVector::from_column_slice(&self.volumes_ml);
-        let mut best: Option<(f64, Vec<f64>)> = None;
+        let mut best: Option<(f64, NearestBeat)> = None;
         for (end_diastole, end_systole) in self.turning_points() {
             let program = QuadraticProgram::new(hessian.clone(), -2.0 * &measured)
                 .and_then(|program| {
@@ -174,11 +234,10 @@ impl VolumeCurve {
                 .map_err(|error| failed(error.to_string()))?;
             let solution = program.solve().map_err(|error| failed(error.to_string()))?;
             if best.as_ref().is_none_or(|(objective, _)| solution.objective < *objective) {
-                best = Some((solution.objective, solution.x.as_slice().to_vec()));
+                best = Some((solution.objective, NearestBeat { end_diastole, end_systole, volumes_ml: solution.x.as_slice().to_vec() }));
             }
         }
-        let (_, volumes_ml) = best.ok_or_else(|| failed("end-diastole and end-systole coincide".into()))?;
-        Self::new(self.times_s.clone(), volumes_ml, self.period_s)
+        best.map(|(_, beat)| beat).ok_or_else(|| failed("end-diastole and end-systole coincide".into()))
     }
 
     fn len(&self) -> usize {
@@ -331,6 +390,22 @@ mod tests {
         assert!(error_ml(&curve.smoothed(0.1).unwrap()) < 0.5);
         let kept = curve.smoothed(0.0).unwrap();
         assert!(kept.volumes_ml().iter().zip(curve.volumes_ml()).all(|(a, b)| (a - b).abs() < 1e-5));
+    }
+
+    #[test]
+    fn two_ventricles_eject_the_same_and_stay_near_what_was_measured() {
+        let left = measured(24, 1.5, 3);
+        let right = measured(30, 1.5, 4).scaled(1.2).unwrap();
+        let stroke = |curve: &VolumeCurve| curve.end_diastole().volume_ml - curve.end_systole().volume_ml;
+        let (alone_left, alone_right) = (left.smoothed(0.5).unwrap(), right.smoothed(0.5).unwrap());
+        assert!(stroke(&alone_right) - stroke(&alone_left) > 10.0);
+        let (matched_left, matched_right) = VolumeCurve::smoothed_to_equal_strokes(&left, &right, 0.5).unwrap();
+        assert!((stroke(&matched_left) - stroke(&matched_right)).abs() < 1e-5);
+        assert!(stroke(&matched_left) > stroke(&alone_left) && stroke(&matched_right) < stroke(&alone_right));
+        // Curves that agree already are left alone.
+        let (same, _) = VolumeCurve::smoothed_to_equal_strokes(&left, &left, 0.5).unwrap();
+        assert!(same.volumes_ml().iter().zip(alone_left.volumes_ml()).all(|(a, b)| (a - b).abs() < 1e-4));
+        assert!(left.scaled(0.0).is_err());
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::path::Path;
 use super::drawn_heart::DrawnHeart;
 use super::plan::{ImagesPlan, LabelsPlan};
 use crate::image::{
-    CineReading, CineSequence, CineTiming, ImageError, LabelMap, SliceShifts, correct_label_shifts, correct_slice_shifts,
+    CineReading, CineSequence, CineTiming, ImageError, LabelMap, SliceShifts, cine_warnings, correct_label_shifts, correct_slice_shifts,
     estimate_slice_shifts, read_cine_source, read_label_maps, read_views,
 };
 use crate::units::MS_PER_S;
@@ -27,24 +27,30 @@ pub(super) struct StudyCine {
 }
 
 impl StudyCine {
-    /// Reads the cine of a plan; `period_s` wins over the files' heart period.
-    pub(super) fn read(plan: &ImagesPlan, period_s: Option<f64>) -> Result<Self, ImageError> {
+    /// Reads the cine of a plan; `period_s` wins over the files' heart period. Slice shifts are looked for around the heart that was `drawn`.
+    pub(super) fn read(plan: &ImagesPlan, period_s: Option<f64>, drawn: Option<&LabelsPlan>) -> Result<Self, ImageError> {
         let mut timing = timing_of(plan.timing.as_deref())?;
         timing.period_s = period_s.or(timing.period_s);
         timing.start_s = plan.first_frame_s.or(timing.start_s);
         let CineReading { cine, mut warnings } = read_cine_source(&plan.cine, &timing)?;
-        let shifts = estimate_slice_shifts(&cine);
-        let largest_mm = shifts.shift_mm.iter().map(|shift| shift.norm()).fold(0.0, f64::max);
+        warnings.extend(cine_warnings(&cine));
+        let heart = drawn.map(DrawnHeart::read).transpose()?;
+        let shifts = estimate_slice_shifts(&cine, heart.as_ref().map(|heart| &heart.labels));
+        let greatest_mm = shifts.greatest_mm();
         if !plan.correct_slice_shifts {
-            if largest_mm > SHIFT_REPORTED_MM {
+            if greatest_mm > SHIFT_REPORTED_MM {
                 warnings.push(format!(
-                    "slices seem to lie up to {largest_mm:.1} mm beside their neighbours, by an estimate that is rough on thick slices; look at \
-                     `cardiotwin info`, and if they do, set images.correct_slice_shifts"
+                    "slices seem to lie up to {greatest_mm:.1} mm beside their neighbours; look at `cardiotwin info`, and if they do, set \
+                     images.correct_slice_shifts"
                 ));
             }
             return Ok(Self { cine, warnings, corrected: None });
         }
-        warnings.push(format!("slices were moved back by up to {largest_mm:.1} mm into one breath-hold"));
+        let unknown = match shifts.not_estimable() {
+            slices if slices.is_empty() => String::new(),
+            slices => format!("; of slices {slices:?} nothing can be told, they were left"),
+        };
+        warnings.push(format!("slices were moved back by up to {greatest_mm:.1} mm into one breath-hold{unknown}"));
         Ok(Self { cine: correct_slice_shifts(&cine, &shifts)?, warnings, corrected: Some(shifts) })
     }
 

@@ -30,8 +30,10 @@ pub struct ImagesPlan {
     pub long_axis_timing: Option<PathBuf>,
     /// `correct_slice_shifts`: whether slices that lie beside their neighbours are moved back, with all labels drawn on them.
     pub correct_slice_shifts: bool,
-    /// Where `cardiotwin volumes` has the volume curve from.
+    /// Where `cardiotwin volumes`, and a personalisation to measured volumes, have the volume curve from.
     pub volumes: VolumeSource,
+    /// `match_stroke_volumes`: whether the smooth curves of both ventricles eject the same.
+    pub match_stroke_volumes: bool,
     /// `quantile_low`: intensities below this quantile of all frames become 0.
     pub quantile_low: f64,
     /// `quantile_high`: intensities above this quantile of all frames become 255.
@@ -53,6 +55,8 @@ pub enum VolumeSource {
         path: PathBuf,
         /// `volumes_code_cavity_lv`.
         code: u8,
+        /// `volumes_code_cavity_rv`; the right ventricle's curve is not known where absent.
+        code_right: Option<u8>,
         /// `volumes_slices`: the slices that count, all where absent.
         slices: Option<Range<usize>>,
     },
@@ -82,6 +86,7 @@ pub(super) fn read(table: TableReader) -> Option<ImagesPlan> {
         long_axis_timing: table.data_file("long_axis_timing"),
         correct_slice_shifts: table.flag("correct_slice_shifts", false),
         volumes: read_volumes(&table),
+        match_stroke_volumes: table.flag("match_stroke_volumes", false),
         first_frame_s: table.optional_number("first_frame_s", -2.5..=2.5),
         quantile_low: table.number("quantile_low", 0.0..=0.5, 0.01),
         quantile_high: table.number("quantile_high", 0.5..=1.0, 0.99),
@@ -98,10 +103,11 @@ pub(super) fn read(table: TableReader) -> Option<ImagesPlan> {
 fn read_volumes(table: &TableReader) -> VolumeSource {
     let path = table.data_file("volumes");
     let code = u8::try_from(table.count("volumes_code_cavity_lv", 1..=i64::from(u8::MAX), 1)).unwrap_or(u8::MAX);
+    let code_right = table.optional_count("volumes_code_cavity_rv", 1..=i64::from(u8::MAX)).and_then(|code| u8::try_from(code).ok());
     let slices = slice_range(table, "volumes_slices");
     match path {
         Some(path) if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("csv")) => VolumeSource::Table(path),
-        Some(path) => VolumeSource::Labels { path, code, slices },
+        Some(path) => VolumeSource::Labels { path, code, code_right, slices },
         None => VolumeSource::Images,
     }
 }

@@ -23,7 +23,7 @@ pub use labels::{LabelSource, LabelsPlan};
 pub use mesh_file::{LengthUnit, MeshPlan, MeshSource};
 pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite, SitePlan, TimeSchemePlan};
 pub use output::OutputPlan;
-pub use personalisation::{FreeParameter, PersonalisationPlan};
+pub use personalisation::{FreeParameter, PersonalisationPlan, VolumeData};
 pub use phantom::{ContractionPlan, ModelAnatomy, PhantomPlan};
 pub use tracking::{BaseMode, GainChoice, TrackingPlan};
 

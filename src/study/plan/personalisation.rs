@@ -1,5 +1,6 @@
 //! `[personalisation]`: which parameters are free, within what, and what they are fitted to.
 
+use super::words;
 use crate::heart::{Parameter, Parameters};
 use crate::study::reader::TableReader;
 
@@ -20,11 +21,23 @@ pub struct FreeParameter {
     pub prior_sd: Option<f64>,
 }
 
+words! {
+    /// The volume curve that parameters are fitted to.
+    VolumeData {
+        /// The cavities of the tracked heart.
+        Tracked = "tracked",
+        /// Measured without the model: `images.volumes`, or the cavity followed on the images.
+        Measured = "measured",
+    }
+}
+
 /// What is to be found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PersonalisationPlan {
     /// `[[personalisation.parameter]]`.
     pub parameters: Vec<FreeParameter>,
+    /// `volumes`; measured where `images.volumes` is written and this is not.
+    pub volumes: Option<VolumeData>,
     /// `sigma_volume_ml`: standard deviation of the measured volumes.
     pub sigma_volume_ml: f64,
     /// `sigma_boundary_mm`: standard deviation of the boundary points.
@@ -39,6 +52,7 @@ pub(super) fn read(table: TableReader, parameters: &Parameters) -> Option<Person
     let free: Vec<_> = table.tables("parameter").into_iter().filter_map(|table| read_parameter(table, parameters)).collect();
     let plan = table.is_written().then(|| PersonalisationPlan {
         parameters: free,
+        volumes: table.optional_choice("volumes"),
         sigma_volume_ml: table.number("sigma_volume_ml", 0.01..=100.0, 3.0),
         sigma_boundary_mm: table.number("sigma_boundary_mm", 0.01..=50.0, 1.5),
         max_iterations: table.count("max_iterations", 1..=1000, 12),

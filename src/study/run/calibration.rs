@@ -6,6 +6,7 @@ use nalgebra::DVector;
 
 use super::clock::Clock;
 use super::error::RunError;
+use super::measured::MeasuredVolumes;
 use super::track::Tracked;
 use crate::anatomy::{Anatomy, Ventricle};
 use crate::heart::{HeartModel, Parameters, SimulationPlan, StepError, Trajectory, simulate};
@@ -67,17 +68,22 @@ pub(super) fn calibration_trajectory(trajectory: &Trajectory) -> CalibrationTraj
     CalibrationTrajectory { frames: trajectory.frames.iter().map(frame).collect() }
 }
 
-/// Volume curve and boundary distances as one residual.
+/// Volume curves and boundary distances as one residual.
 pub(super) fn residual<'a>(
     plan: &PersonalisationPlan,
     anatomy: &Anatomy,
-    measured_ml: &[f64],
+    measured: &MeasuredVolumes,
     tracked: &Tracked,
 ) -> Result<StackedResidual<'a, CalibrationTrajectory>, RunError> {
-    let volume = VolumeCurveResidual::new(Ventricle::Left, measured_ml.to_vec(), plan.sigma_volume_ml)?;
+    let volume = VolumeCurveResidual::new(Ventricle::Left, measured.left_ml.clone(), plan.sigma_volume_ml)?;
     let boundary = BoundaryResidual::new(&surface_targets(anatomy, tracked), plan.sigma_boundary_mm)?
         .with_loss(Loss::Huber { threshold: HUBER_THRESHOLD });
-    Ok(StackedResidual::default().with("volume_lv", volume).with("boundary", boundary))
+    let stack = StackedResidual::default().with("volume_lv", volume);
+    let stack = match &measured.right_ml {
+        Some(right_ml) => stack.with("volume_rv", VolumeCurveResidual::new(Ventricle::Right, right_ml.clone(), plan.sigma_volume_ml)?),
+        None => stack,
+    };
+    Ok(stack.with("boundary", boundary))
 }
 
 /// The boundary points of all frames, grouped by surface and AHA segment.

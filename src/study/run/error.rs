@@ -21,6 +21,11 @@ pub enum RunError {
     /// A frame named in the study file that the cine does not have.
     #[error("{key} = {frame}, but the cine has {frame_count} frames (counted from 0); correct the study file")]
     FrameOutOfRange { key: &'static str, frame: usize, frame_count: usize },
+    /// Images of another place than the heart.
+    #[error(
+        "{percent:.0} % of the heart's mesh lie outside of the images: are labels and cine of one examination, with the same world coordinates?"
+    )]
+    OutsideImages { percent: f64 },
     /// The heart at rest.
     #[error("the anatomy cannot be built: {0}")]
     Anatomy(#[from] AnatomyError),

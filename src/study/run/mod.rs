@@ -10,6 +10,7 @@ mod error;
 mod forward;
 mod imaged_beat;
 mod leave;
+mod measured;
 mod mesh_file;
 mod mesh_only;
 mod mesh_overlays;

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use nalgebra::Vector3;
+
 use super::clock::Clock;
 use super::error::RunError;
 use super::mesh_file::anatomy_of_file;
@@ -44,6 +46,29 @@ pub(super) struct PatientImages {
     pub(super) validation: Vec<(usize, LabelMap, u8)>,
 }
 
+impl PatientImages {
+    /// Says how much of a heart lies outside of the images, in words where it is more than a little.
+    fn cover_warning(&self, anatomy: &Anatomy) -> Result<Option<String>, RunError> {
+        const REPORTED: f64 = 0.02;
+        const REFUSED: f64 = 0.5;
+        let (grid, slack_mm) = (self.cine.grid(), 0.5 * self.slice_distance_mm);
+        let is_outside = |position_mm: &&Vector3<f64>| {
+            let voxel = grid.to_voxel(position_mm);
+            (0..3).any(|axis| {
+                let (spacing_mm, last) = (grid.spacing_mm()[axis], (grid.shape()[axis] - 1) as f64);
+                voxel[axis] * spacing_mm < -slack_mm || (voxel[axis] - last) * spacing_mm > slack_mm
+            })
+        };
+        let vertices_mm = anatomy.mesh.vertices_mm();
+        let share = vertices_mm.iter().filter(is_outside).count() as f64 / vertices_mm.len() as f64;
+        if share > REFUSED {
+            return Err(RunError::OutsideImages { percent: 100.0 * share });
+        }
+        let words = || format!("{:.0} % of the mesh lie outside of the images, where nothing is tracked", 100.0 * share);
+        Ok((share > REPORTED).then(words))
+    }
+}
+
 impl Patient {
     /// Reads or makes the patient of a plan.
     pub(super) fn new(plan: &Plan, context: &RunContext) -> Result<Self, RunError> {
@@ -57,7 +82,7 @@ impl Patient {
                 let (heart, images) = match images {
                     Some(ImageSource::Cine(images)) => {
                         let period_s = plan.written.contains(&Parameter::HeartPeriod).then_some(parameters[Parameter::HeartPeriod]);
-                        let study = StudyCine::read(images, period_s)?;
+                        let study = StudyCine::read(images, period_s, Some(drawn))?;
                         parameters.set(Parameter::HeartPeriod, study.cine.period_s())?;
                         let heart = study.read_heart(drawn)?;
                         (heart, Some(prepared_images(images, study, drawn.frame, &mut warnings)?))
@@ -68,6 +93,9 @@ impl Patient {
                 let DrawnHeart { labels, codes, warnings: odd } = heart;
                 warnings.extend(odd);
                 let anatomy = anatomy_from_labels(&plan.anatomy, &labels, &codes, &drawn.field_options(), &mut warnings)?;
+                if let Some(images) = &images {
+                    warnings.extend(images.cover_warning(&anatomy)?);
+                }
                 let (anatomy, frames_without_images) = (Arc::new(anatomy), plan.simulation.frames);
                 Ok(Self { anatomy, parameters, images, truth: None, reference_s: 0.0, frames_without_images, warnings })
             }

@@ -12,6 +12,7 @@ use super::discrepancy::{work_magnitude_mj, write_discrepancy};
 use super::error::RunError;
 use super::forward::{beat, frame_volumes_lv_ml, heart_model, step_count};
 use super::leave::{BeatSummary, FrameRow, Summary, frame_rows, write_base_motion, write_beat, write_series};
+use super::measured::{MeasuredVolumes, measured_volumes};
 use super::montages::{NamedMotion, montages};
 use super::patient::{Patient, PatientImages};
 use super::pictures;
@@ -40,7 +41,7 @@ struct Personalised {
     model: HeartModel,
     fitted: Trajectory,
     initial: Trajectory,
-    measured_ml: Vec<f64>,
+    measured: MeasuredVolumes,
 }
 
 /// Runs the whole thread and leaves its files.
@@ -65,10 +66,10 @@ fn personalise(
     tracked: &Tracked,
     context: &RunContext,
 ) -> Result<Personalised, RunError> {
-    let measured_ml = frame_volumes_lv_ml(&tracked.motion.trajectory);
-    let residual = residual(wanted, &patient.anatomy, &measured_ml, tracked)?;
+    let measured = measured_volumes(plan, wanted, &patient.anatomy, clock, tracked)?;
+    let residual = residual(wanted, &patient.anatomy, &measured, tracked)?;
     let base = heart_model(&plan.model, &patient.anatomy, patient.parameters.clone())?;
-    let space = start_space(wanted, &base, clock, &measured_ml, context)?;
+    let space = start_space(wanted, &base, clock, &measured.left_ml, context)?;
 
     let (calibration, uncertainty) = search(wanted, &base, &space, clock, &residual, context)?;
 
@@ -76,7 +77,7 @@ fn personalise(
     let model = base.with_parameters(space.to_parameters(&calibration.coordinates)?)?;
     let fitted = beat(&model, clock, &[], context)?;
     let initial = beat(&base.with_parameters(space.to_parameters(&space.initial())?)?, clock, &[], context)?;
-    Ok(Personalised { space, calibration, uncertainty, model, fitted, initial, measured_ml })
+    Ok(Personalised { space, calibration, uncertainty, model, fitted, initial, measured })
 }
 
 /// Gauss–Newton from the start of `space`.
@@ -326,7 +327,7 @@ fn leave(
 ) -> Result<Outcome, RunError> {
     let folder = &plan.output.directory;
     let truth_ml: &[f64] = patient.truth.as_ref().map_or(&[], |truth| &truth.volumes_lv_ml);
-    let rows: Vec<FrameRow> = frame_rows(clock, &found.fitted, Some(tracked), &found.measured_ml, truth_ml);
+    let rows: Vec<FrameRow> = frame_rows(clock, &found.fitted, Some(tracked), &found.measured.left_ml, truth_ml);
     write_beat(plan, &found.model, &found.fitted, clock, &rows)?;
     write_csv(&folder.join("tracked_curves.csv"), &tracked.motion.trajectory.curves)?;
     if plan.output.meshes {
@@ -341,14 +342,14 @@ fn leave(
     if plan.output.figures {
         draw(plan, patient, images, clock, tracked, found, recovery.as_ref())?;
     }
-    let measured = Measured::of(&found.measured_ml);
+    let measured = Measured::of(&found.measured.left_ml);
     let status = status_of(&found.calibration.outcome);
     let details = Details {
         measured_ejection_fraction_lv: measured.ejection_fraction(),
         measured_end_diastolic_volume_lv_ml: measured.largest_ml,
         measured_end_systolic_volume_lv_ml: measured.smallest_ml,
-        volume_rms_initial_ml: difference_rms(&frame_volumes_lv_ml(&found.initial), &found.measured_ml),
-        volume_rms_ml: difference_rms(&frame_volumes_lv_ml(&found.fitted), &found.measured_ml),
+        volume_rms_initial_ml: difference_rms(&frame_volumes_lv_ml(&found.initial), &found.measured.left_ml),
+        volume_rms_ml: difference_rms(&frame_volumes_lv_ml(&found.fitted), &found.measured.left_ml),
         calibration_status: found.calibration.outcome.status(),
         iterations: found.calibration.records.len().saturating_sub(1),
         simulations: found.calibration.evaluation_count + found.calibration.linearisation_count * found.space.dimension() as u64,
@@ -364,7 +365,7 @@ fn leave(
         beat: BeatSummary::new(&found.model, &found.fitted, clock),
         details,
         mesh: MeshQuality::of(&patient.anatomy.mesh),
-        warnings: &patient.warnings.iter().chain(&tracked.motion.warnings).cloned().collect::<Vec<_>>(),
+        warnings: &patient.warnings.iter().chain(&tracked.motion.warnings).chain(&found.measured.warnings).cloned().collect::<Vec<_>>(),
         wall_time_s: started.elapsed().as_secs_f64(),
         provenance: &plan.provenance,
     };
@@ -445,7 +446,7 @@ fn draw(
     let mut further = vec![
         Curve::new("model at its start", Look::Initial, &clock.times_s, &frame_volumes_lv_ml(&found.initial)),
         Curve::new("tracked", Look::Tracked, &clock.times_s, &tracked_ml),
-        Curve::new("measured", Look::Measured, &clock.times_s, &found.measured_ml),
+        Curve::new("measured", Look::Measured, &clock.times_s, &found.measured.left_ml),
     ];
     further.extend(patient.truth.as_ref().map(|truth| Curve::new("truth", Look::Truth, &clock.times_s, &truth.volumes_lv_ml)));
     pictures::beat(plan, clock, &found.fitted, &further)?;

@@ -34,12 +34,14 @@ pub enum CurveSource {
         path: PathBuf,
         /// Trigger times and heart periods, JSON; the header's where absent.
         timing: Option<PathBuf>,
-        /// Code of the cavity.
+        /// Code of the left cavity.
         code: u8,
+        /// Code of the right one; its curve is not known where absent.
+        code_right: Option<u8>,
         /// Slices (index k) that count; all where absent.
         slices: Option<Range<usize>>,
     },
-    /// A CSV file with the columns `time_s` and `volume_lv_ml`.
+    /// A CSV file with the columns `time_s` and `volume_lv_ml`, and where known `volume_rv_ml`.
     Table {
         /// The file.
         path: PathBuf,
@@ -51,6 +53,7 @@ pub enum CurveSource {
 /// A curve as measured, and what it was followed on.
 struct Measured {
     curve: VolumeCurve,
+    right: Option<VolumeCurve>,
     followed: Option<(CineSequence, CavityContours)>,
     source: &'static str,
     warnings: Vec<String>,
@@ -63,6 +66,20 @@ struct VolumeRow {
     time_s: f64,
     volume_lv_ml: f64,
     volume_lv_smooth_ml: f64,
+    volume_rv_ml: Option<f64>,
+    volume_rv_smooth_ml: Option<f64>,
+}
+
+impl Measured {
+    /// The smooth curves of the left and, where it is known, the right ventricle; of equal strokes where asked for.
+    fn smoothed(&self, match_strokes: bool) -> Result<(VolumeCurve, Option<VolumeCurve>), ImageError> {
+        match &self.right {
+            Some(right) if match_strokes => {
+                VolumeCurve::smoothed_to_equal_strokes(&self.curve, right, SMOOTHING).map(|(left, right)| (left, Some(right)))
+            }
+            right => Ok((self.curve.smoothed(SMOOTHING)?, right.as_ref().map(|right| right.smoothed(SMOOTHING)).transpose()?)),
+        }
+    }
 }
 
 /// Measures a volume curve, smooths it, writes `volumes.csv`, `volumes.png` and, where it was followed on images, `contours.png` into a
@@ -74,22 +91,24 @@ struct VolumeRow {
 pub fn measure_volumes(source: &CurveSource, folder: &Path) -> Result<Vec<String>, RunError> {
     let measured = match source {
         CurveSource::Study(plan) => of_study(plan)?,
-        CurveSource::Labels { path, timing, code, slices } => {
+        CurveSource::Labels { path, timing, code, code_right, slices } => {
             let timing = timing.as_deref().map(CineTiming::from_sidecar).transpose()?.unwrap_or_default();
             let image = read_nifti(path)?;
             let times = timing.resolve(image.frames.len(), image.start_s, image.step_s);
             let (times_s, period_s) = times.map_err(|reason| ImageError::Unusable { path: path.clone(), reason })?;
-            of_labels(path, *code, slices.clone(), times_s, period_s)?
+            of_labels(path, *code, *code_right, slices.clone(), times_s, period_s)?
         }
         CurveSource::Table { path, period_s } => of_table(path, *period_s)?,
     };
-    let smooth = measured.curve.smoothed(SMOOTHING)?;
+    let (smooth, smooth_right) = measured.smoothed(match_strokes(source))?;
     create_folder(folder)?;
     let row = |frame: usize| VolumeRow {
         frame,
         time_s: smooth.times_s()[frame],
         volume_lv_ml: measured.curve.volumes_ml()[frame],
         volume_lv_smooth_ml: smooth.volumes_ml()[frame],
+        volume_rv_ml: measured.right.as_ref().map(|right| right.volumes_ml()[frame]),
+        volume_rv_smooth_ml: smooth_right.as_ref().map(|right| right.volumes_ml()[frame]),
     };
     write_csv(&folder.join("volumes.csv"), &(0..smooth.times_s().len()).map(row).collect::<Vec<_>>())?;
     figures::curve(&folder.join("volumes.png"), &measured.curve, &smooth)?;
@@ -97,7 +116,24 @@ pub fn measure_volumes(source: &CurveSource, folder: &Path) -> Result<Vec<String
         figures::contours(&folder.join("contours.png"), cine, contours, &smooth)?;
     }
     let warnings = measured.warnings.iter().map(|warning| format!("warning: {warning}"));
-    Ok([format!("LV volumes {}", measured.source), landmarks(&smooth)].into_iter().chain(warnings).collect())
+    let right = smooth_right.iter().map(|right| format!("RV: {}", landmarks(right)));
+    Ok([format!("LV volumes {}", measured.source), landmarks(&smooth)].into_iter().chain(right).chain(warnings).collect())
+}
+
+fn match_strokes(source: &CurveSource) -> bool {
+    match source {
+        CurveSource::Study(plan) => matches!(&plan.images, Some(ImageSource::Cine(images)) if images.match_stroke_volumes),
+        CurveSource::Labels { .. } | CurveSource::Table { .. } => false,
+    }
+}
+
+/// The smooth volume curves of a study's left and, where it is measured, right ventricle.
+///
+/// # Errors
+/// As [`measure_volumes`].
+pub(super) fn smooth_curves(plan: &Plan) -> Result<(VolumeCurve, Option<VolumeCurve>), RunError> {
+    let matched = matches!(&plan.images, Some(ImageSource::Cine(images)) if images.match_stroke_volumes);
+    Ok(of_study(plan)?.smoothed(matched)?)
 }
 
 fn landmarks(curve: &VolumeCurve) -> String {
@@ -124,10 +160,16 @@ pub(super) fn measured_curve(plan: &Plan) -> Result<VolumeCurve, RunError> {
 fn of_study(plan: &Plan) -> Result<Measured, RunError> {
     let Some(ImageSource::Cine(images)) = &plan.images else { return Err(RunError::NothingToFit) };
     let period_s = plan.written.contains(&Parameter::HeartPeriod).then_some(plan.parameters[Parameter::HeartPeriod]);
-    let study = StudyCine::read(images, period_s)?;
+    let drawn = match &plan.anatomy.source {
+        AnatomySource::Labels(drawn) => Some(drawn),
+        _ => None,
+    };
+    let study = StudyCine::read(images, period_s, drawn)?;
     let (times_s, period_s) = (study.cine.times_s().to_vec(), study.cine.period_s());
     match (&images.volumes, &plan.anatomy.source) {
-        (VolumeSource::Labels { path, code, slices }, _) => of_labels(path, *code, slices.clone(), times_s, period_s),
+        (VolumeSource::Labels { path, code, code_right, slices }, _) => {
+            of_labels(path, *code, *code_right, slices.clone(), times_s, period_s)
+        }
         (VolumeSource::Table(path), _) => of_table(path, period_s),
         (VolumeSource::Images, AnatomySource::Labels(drawn)) => of_images(images, study, drawn),
         (VolumeSource::Images, _) => Err(RunError::NothingToFit),
@@ -146,17 +188,27 @@ fn of_images(images: &ImagesPlan, study: StudyCine, drawn: &LabelsPlan) -> Resul
         warnings
             .push(format!("slices {first} to {last} count, as the labels have them: a base that moves through slices is not seen{moved}"));
     }
-    Ok(Measured { curve, followed: Some((study.cine, contours)), source: "followed on the images", warnings })
+    Ok(Measured { curve, right: None, followed: Some((study.cine, contours)), source: "followed on the images", warnings })
 }
 
-fn of_labels(path: &Path, code: u8, slices: Option<Range<usize>>, times_s: Vec<f64>, period_s: f64) -> Result<Measured, RunError> {
+fn of_labels(
+    path: &Path,
+    left: u8,
+    right: Option<u8>,
+    slices: Option<Range<usize>>,
+    times_s: Vec<f64>,
+    period_s: f64,
+) -> Result<Measured, RunError> {
     let maps = read_label_maps(path)?;
-    let curve = VolumeCurve::from_label_maps(&maps, code, slices.unwrap_or(0..usize::MAX), times_s, period_s)?;
-    Ok(Measured { curve, followed: None, source: "counted in the labels of every frame", warnings: Vec::new() })
+    let slices = slices.unwrap_or(0..usize::MAX);
+    let of = |code: u8| VolumeCurve::from_label_maps(&maps, code, slices.clone(), times_s.clone(), period_s);
+    let (curve, right) = (of(left)?, right.map(of).transpose()?);
+    Ok(Measured { curve, right, followed: None, source: "counted in the labels of every frame", warnings: Vec::new() })
 }
 
 fn of_table(path: &Path, period_s: f64) -> Result<Measured, RunError> {
-    let (times_s, volumes_ml) = table::read(path)?;
-    let curve = VolumeCurve::new(times_s, volumes_ml, period_s)?;
-    Ok(Measured { curve, followed: None, source: "from a table", warnings: Vec::new() })
+    let table::Columns { times_s, left_ml, right_ml } = table::read(path)?;
+    let right = right_ml.map(|volumes_ml| VolumeCurve::new(times_s.clone(), volumes_ml, period_s)).transpose()?;
+    let curve = VolumeCurve::new(times_s, left_ml, period_s)?;
+    Ok(Measured { curve, right, followed: None, source: "from a table", warnings: Vec::new() })
 }
