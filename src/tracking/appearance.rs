@@ -2,13 +2,15 @@
 
 use nalgebra::Vector3;
 
+use super::thickness::thickness_mm;
 use super::{ImageInstant, TrackingError};
 use crate::mesh::{SurfaceTag, TaggedSurface};
 
 /// How the appearance of a surface is learnt.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AppearanceSettings {
-    /// The two sides of the boundary are read between these distances from it, mm.
+    /// The two sides of the boundary are read between these distances from it, mm; in a wall that is thinner than
+    /// `side_to_mm / WALL_SHARE_TO`, within it.
     pub side_from_mm: f64,
     /// See [`AppearanceSettings::side_from_mm`].
     pub side_to_mm: f64,
@@ -26,6 +28,22 @@ impl Default for AppearanceSettings {
     }
 }
 
+/// A thin wall is read between these shares of its thickness.
+const WALL_SHARE_FROM: f64 = 0.35;
+const WALL_SHARE_TO: f64 = 0.75;
+
+impl AppearanceSettings {
+    /// Where the wall's own side is read, mm from the boundary: the right ventricle's is 3 mm thick, and beyond it is something else.
+    fn inner_span_mm(&self, thickness_mm: f64) -> [f64; 2] {
+        [self.side_from_mm.min(WALL_SHARE_FROM * thickness_mm), self.side_to_mm.min(WALL_SHARE_TO * thickness_mm)]
+    }
+
+    /// Where the other side is read, mm from the boundary.
+    pub(super) fn outer_span_mm(&self) -> [f64; 2] {
+        [self.side_from_mm, self.side_to_mm]
+    }
+}
+
 /// The learnt appearance of one surface. Lists are by place in `vertices`.
 ///
 /// With $I_-$ and $I_+$ the intensities on the myocardial and on the outer side of vertex $i$ (medians over a short stretch of
@@ -40,6 +58,8 @@ pub struct SurfaceAppearance {
     pub vertices: Vec<usize>,
     /// For every vertex its neighbours along the surface, as places in `vertices`.
     pub neighbours: Vec<Vec<usize>>,
+    /// The wall's own side is read between these distances from the boundary, mm.
+    pub inner_span_mm: Vec<[f64; 2]>,
     /// Intensity at the boundary, within `intensity_range`.
     pub level: Vec<f64>,
     /// Outer minus myocardial intensity: positive where the outside is brighter (blood at the endocardium).
@@ -72,7 +92,10 @@ impl SurfaceAppearance {
             return Err(TrackingError::MissingSurface { tag });
         }
         let neighbours = neighbours_along(surface, tag, &vertices);
-        let sides = read_sides(&vertices, &surface.vertex_area_vectors_mm2(tag, position_mm), position_mm, instant, settings);
+        let area_mm2 = surface.vertex_area_vectors_mm2(tag, position_mm);
+        let thickness_mm = thickness_mm(surface, tag, &vertices, &area_mm2, position_mm);
+        let inner_span_mm: Vec<[f64; 2]> = thickness_mm.into_iter().map(|thickness_mm| settings.inner_span_mm(thickness_mm)).collect();
+        let sides = read_sides(&vertices, &inner_span_mm, &area_mm2, position_mm, instant, settings.outer_span_mm());
         let seen: Vec<&Sides> = sides.iter().flatten().collect();
         if 2 * seen.len() < vertices.len() {
             return Err(TrackingError::NotCovered { tag, covered: seen.len(), vertex_count: vertices.len() });
@@ -98,7 +121,18 @@ impl SurfaceAppearance {
         );
         let level = inner.iter().zip(&contrast).map(|(i, c)| (i + fraction * c).clamp(intensity_range.0, intensity_range.1)).collect();
         let gradient_threshold_per_mm = settings.gradient_fraction * gradient_median_per_mm;
-        Ok(Self { tag, vertices, neighbours, level, contrast, contrast_median, fraction, gradient_threshold_per_mm, intensity_range })
+        Ok(Self {
+            tag,
+            vertices,
+            neighbours,
+            inner_span_mm,
+            level,
+            contrast,
+            contrast_median,
+            fraction,
+            gradient_threshold_per_mm,
+            intensity_range,
+        })
     }
 }
 
@@ -111,33 +145,34 @@ struct Sides {
 
 fn read_sides(
     vertices: &[usize],
+    inner_span_mm: &[[f64; 2]],
     area_mm2: &[Vector3<f64>],
     position_mm: &[Vector3<f64>],
     instant: &ImageInstant,
-    settings: &AppearanceSettings,
+    outer_span_mm: [f64; 2],
 ) -> Vec<Option<Sides>> {
-    let read = |&vertex: &usize| {
+    let read = |(&vertex, &inner_span_mm): (&usize, &[f64; 2])| {
         let normal = area_mm2[vertex].try_normalize(0.0)?;
-        let inner = side_intensity(instant, &position_mm[vertex], &-normal, settings)?;
-        let outer = side_intensity(instant, &position_mm[vertex], &normal, settings)?;
+        let inner = side_intensity(instant, &position_mm[vertex], &-normal, inner_span_mm)?;
+        let outer = side_intensity(instant, &position_mm[vertex], &normal, outer_span_mm)?;
         let middle = instant.value(&position_mm[vertex])?;
         Some(Sides { inner, middle, outer, gradient_per_mm: instant.gradient_per_mm(&position_mm[vertex])?.norm() })
     };
-    vertices.iter().map(read).collect()
+    vertices.iter().zip(inner_span_mm).map(read).collect()
 }
 
-/// Median intensity on one side of a point.
+/// Median intensity on one side of a point, between two distances (mm) from it.
 pub(super) fn side_intensity(
     instant: &ImageInstant,
     point_mm: &Vector3<f64>,
     direction: &Vector3<f64>,
-    settings: &AppearanceSettings,
+    [from_mm, to_mm]: [f64; 2],
 ) -> Option<f64> {
     const READINGS: usize = 5;
     let mut values = [0.0; READINGS];
     for (reading, value) in values.iter_mut().enumerate() {
         let share = reading as f64 / (READINGS - 1) as f64;
-        let distance_mm = settings.side_from_mm + share * (settings.side_to_mm - settings.side_from_mm);
+        let distance_mm = from_mm + share * (to_mm - from_mm);
         *value = instant.value(&(point_mm + direction * distance_mm))?;
     }
     values.sort_by(f64::total_cmp);

@@ -175,7 +175,7 @@ impl BoundarySearch {
         distance_mm: f64,
         instant: &ImageInstant,
     ) -> Option<Candidate> {
-        let SurfaceAppearance { contrast, contrast_median, gradient_threshold_per_mm, .. } = &self.appearance;
+        let SurfaceAppearance { contrast, contrast_median, gradient_threshold_per_mm, inner_span_mm, .. } = &self.appearance;
         let point_mm = origin_mm + normal * distance_mm;
         let gradient_per_mm = instant.gradient_per_mm(&point_mm)?;
         let slices = instant.resolution(self.settings.slice_distance_mm);
@@ -184,8 +184,8 @@ impl BoundarySearch {
         }
         let image_normal = gradient_per_mm.normalize() * contrast[place].signum();
         let angle = self.angle_confidence(normal.dot(&image_normal));
-        let inner = side_intensity(instant, &point_mm, &-normal, &self.sides)?;
-        let outer = side_intensity(instant, &point_mm, normal, &self.sides)?;
+        let inner = side_intensity(instant, &point_mm, &-normal, inner_span_mm[place])?;
+        let outer = side_intensity(instant, &point_mm, normal, self.sides.outer_span_mm())?;
         let edge = ((outer - inner) / contrast[place]).clamp(0.0, 1.0);
         let learnt = (contrast[place].abs() / contrast_median).min(1.0);
         let blend = slices.blend_error_mm(normal) / self.settings.slice_error_mm;

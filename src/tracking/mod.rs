@@ -3,7 +3,7 @@
 //! | module | what it holds |
 //! |---|---|
 //! | `instant` | the cine sequence at one time, linear between frames |
-//! | `appearance` | what each surface looks like on the reference frame |
+//! | `appearance`, `thickness` | what each surface looks like on the reference frame, and how far its wall reaches |
 //! | `boundary` | the search of boundary points Z along the normals |
 //! | `scheme` | the image force of one vertex: explicit, published, exact, variational |
 //! | `image_force` | all surfaces as one load on the step system |
@@ -26,6 +26,7 @@ mod pyramid;
 mod residuals;
 mod scheme;
 mod section;
+mod thickness;
 mod tracker;
 
 pub use agreement::{CavityAgreement, SliceAgreement};

@@ -211,8 +211,9 @@ fn images_of(
             root.problem("phantom", "stands beside [images]", "images are either read ([images]) or made ([phantom]): take one away");
             None
         }
-        (None, Some(_)) if !is_lv && kind != Some(Kind::Phantom) => {
-            root.problem("phantom", "needs a left ventricle that is known exactly", "write [anatomy.idealised_lv] as its only shape");
+        (None, Some(_)) if !anatomy.source.is_idealised() && kind != Some(Kind::Phantom) => {
+            let remedy = "write [anatomy.idealised_lv] or [anatomy.idealised_biventricle] as its only shape";
+            root.problem("phantom", "needs a heart that is known exactly", remedy);
             None
         }
         (None, Some(phantom)) if phantom.contraction.is_some() && (!is_lv || kind == Some(Kind::Personalise)) => {

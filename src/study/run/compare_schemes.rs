@@ -88,8 +88,12 @@ struct CaseRow {
     rmse_greatest_mm: Option<f64>,
     /// Root mean square difference of the volume of the left ventricle from the truth, mL.
     volume_rms_lv_ml: Option<f64>,
+    /// The same of the right ventricle, where there is one.
+    volume_rms_rv_ml: Option<f64>,
     /// Root mean square acceleration of the endocardia over all steps, mm/s²: what oscillates shows here.
     endocardium_acceleration_rms_mm_per_s2: Option<f64>,
+    /// The same of the right ventricle's endocardium alone, where there is one.
+    endocardium_rv_acceleration_rms_mm_per_s2: Option<f64>,
     /// Why it broke.
     reason: String,
 }
@@ -103,6 +107,8 @@ struct FrameRow {
     rmse_mm: f64,
     volume_lv_ml: Option<f64>,
     volume_truth_lv_ml: Option<f64>,
+    volume_rv_ml: Option<f64>,
+    volume_truth_rv_ml: Option<f64>,
 }
 
 /// A row of `speed.csv`: one scheme after one step, with the step and gains as written.
@@ -111,6 +117,7 @@ struct SpeedRow {
     scheme: Scheme,
     time_s: f64,
     endocardium_speed_rms_mm_per_s: f64,
+    endocardium_rv_speed_rms_mm_per_s: Option<f64>,
 }
 
 /// What became of a case.
@@ -216,7 +223,9 @@ fn attempt(
         rmse_mean_mm: None,
         rmse_greatest_mm: None,
         volume_rms_lv_ml: None,
+        volume_rms_rv_ml: None,
         endocardium_acceleration_rms_mm_per_s2: None,
+        endocardium_rv_acceleration_rms_mm_per_s2: None,
         reason: String::new(),
     };
     let reason = match &motion {
@@ -235,27 +244,32 @@ fn attempt(
     } else {
         // The first image is where every case starts.
         let rmse_mm: Vec<f64> = frames.iter().skip(1).map(|frame| frame.rmse_mm).collect();
-        let volume_ml: Vec<f64> = frames.iter().filter_map(|f| Some(f.volume_lv_ml? - f.volume_truth_lv_ml?)).collect();
+        let left_ml: Vec<f64> = frames.iter().filter_map(|f| Some(f.volume_lv_ml? - f.volume_truth_lv_ml?)).collect();
+        let right_ml: Vec<f64> = frames.iter().filter_map(|f| Some(f.volume_rv_ml? - f.volume_truth_rv_ml?)).collect();
         row.rmse_mean_mm = Some(rmse_mm.iter().sum::<f64>() / rmse_mm.len().max(1) as f64);
         row.rmse_greatest_mm = rmse_mm.iter().copied().max_by(f64::total_cmp);
-        row.volume_rms_lv_ml = Some(root_mean_square(&volume_ml));
-        row.endocardium_acceleration_rms_mm_per_s2 = Some(root_mean_square(&watch.accelerations_mm_per_s2));
+        row.volume_rms_lv_ml = Some(root_mean_square(&left_ml));
+        row.volume_rms_rv_ml = (!right_ml.is_empty()).then(|| root_mean_square(&right_ml));
+        let [all, right] = &watch.accelerations_mm_per_s2;
+        row.endocardium_acceleration_rms_mm_per_s2 = Some(root_mean_square(all));
+        row.endocardium_rv_acceleration_rms_mm_per_s2 = (!right.is_empty()).then(|| root_mean_square(right));
     }
     Ok(Tried { row, frames, speeds: watch.speeds })
 }
 
 /// Every image of a tracked beat against the truth.
 fn compare(motion: &TrackedMotion, truth: &Truth, scheme: Scheme) -> Vec<FrameRow> {
-    let row = |((seen, state), (true_state, &true_ml)): ((&crate::tracking::TrackedFrame, &FrameState), (&FrameState, &f64))| FrameRow {
+    let row = |((seen, state), true_state): ((&crate::tracking::TrackedFrame, &FrameState), &FrameState)| FrameRow {
         scheme,
         frame: seen.frame,
         time_s: state.time_s,
         rmse_mm: rmse_mm(state, true_state),
         volume_lv_ml: state.volume_ml.first().copied(),
-        volume_truth_lv_ml: Some(true_ml),
+        volume_truth_lv_ml: true_state.volume_ml.first().copied(),
+        volume_rv_ml: state.volume_ml.get(1).copied(),
+        volume_truth_rv_ml: true_state.volume_ml.get(1).copied(),
     };
-    let tracked = motion.frames.iter().zip(&motion.trajectory.frames);
-    tracked.zip(truth.frames.iter().zip(&truth.volumes_lv_ml)).map(row).collect()
+    motion.frames.iter().zip(&motion.trajectory.frames).zip(&truth.frames).map(row).collect()
 }
 
 fn rmse_mm(state: &FrameState, truth: &FrameState) -> f64 {
@@ -266,12 +280,15 @@ fn rmse_mm(state: &FrameState, truth: &FrameState) -> f64 {
 /// Sees every step of a case: whether the mesh is whole, and how fast the endocardia move.
 struct Watch {
     scheme: Scheme,
+    /// Vertices of the endocardia, the left one's first, and where the right one's begin.
     endocardium: Vec<usize>,
+    left_count: usize,
     start_s: f64,
     last_s: f64,
     velocity_mm_per_s: Vec<nalgebra::Vector3<f64>>,
     speeds: Vec<SpeedRow>,
-    accelerations_mm_per_s2: Vec<f64>,
+    /// Of both endocardia, and of the right one.
+    accelerations_mm_per_s2: [Vec<f64>; 2],
     is_inside_out: bool,
 }
 
@@ -281,15 +298,16 @@ const INSIDE_OUT_SHARE: f64 = 0.05;
 impl Watch {
     fn new(patient: &Patient, case: Case) -> Self {
         let surface = &patient.anatomy.surface;
-        let tags = [SurfaceTag::EndocardiumLv, SurfaceTag::EndocardiumRv];
+        let [left, right] = [SurfaceTag::EndocardiumLv, SurfaceTag::EndocardiumRv].map(|tag| surface.vertices_with(tag));
         Self {
             scheme: case.scheme,
-            endocardium: tags.into_iter().flat_map(|tag| surface.vertices_with(tag)).collect(),
+            left_count: left.len(),
+            endocardium: [left, right].concat(),
             start_s: f64::NAN,
             last_s: f64::NAN,
             velocity_mm_per_s: Vec::new(),
             speeds: Vec::new(),
-            accelerations_mm_per_s2: Vec::new(),
+            accelerations_mm_per_s2: [Vec::new(), Vec::new()],
             is_inside_out: false,
         }
     }
@@ -303,11 +321,18 @@ impl Watch {
         if state.time_s > self.last_s {
             let changes = velocity.iter().zip(&self.velocity_mm_per_s).map(|(now, before)| (now - before).norm());
             let accelerations: Vec<f64> = changes.map(|change| change / (state.time_s - self.last_s)).collect();
-            self.accelerations_mm_per_s2.push(root_mean_square(&accelerations));
+            let of_right = accelerations.get(self.left_count..).filter(|right| !right.is_empty());
+            self.accelerations_mm_per_s2[1].extend(of_right.map(root_mean_square));
+            self.accelerations_mm_per_s2[0].push(root_mean_square(&accelerations));
         }
         let speeds: Vec<f64> = velocity.iter().map(|v| v.norm()).collect();
-        let endocardium_speed_rms_mm_per_s = root_mean_square(&speeds);
-        self.speeds.push(SpeedRow { scheme: self.scheme, time_s: state.time_s, endocardium_speed_rms_mm_per_s });
+        let right = &speeds[self.left_count..];
+        self.speeds.push(SpeedRow {
+            scheme: self.scheme,
+            time_s: state.time_s,
+            endocardium_speed_rms_mm_per_s: root_mean_square(&speeds),
+            endocardium_rv_speed_rms_mm_per_s: (!right.is_empty()).then(|| root_mean_square(right)),
+        });
         (self.velocity_mm_per_s, self.last_s) = (velocity, state.time_s);
         let position_mm = &state.motion.position_mm;
         let is_inverted = |[a, b, c, d]: &&[usize; 4]| {
@@ -331,7 +356,13 @@ fn draw(plan: &Plan, as_written: &[Tried]) -> Result<(), RunError> {
     time_curves(&folder.join("rmse.png"), &TimeCurves { title, quantity: "RMSE of all vertices (mm)".into(), curves: rmse })?;
     let speed = curves(|one| one.speeds.iter().map(|row| (row.time_s, row.endocardium_speed_rms_mm_per_s)).collect());
     let title = "Speed of the tracked endocardium".into();
-    Ok(time_curves(&folder.join("speed.png"), &TimeCurves { title, quantity: "RMS speed (mm/s)".into(), curves: speed })?)
+    time_curves(&folder.join("speed.png"), &TimeCurves { title, quantity: "RMS speed (mm/s)".into(), curves: speed })?;
+    let right = curves(|one| one.speeds.iter().filter_map(|row| Some((row.time_s, row.endocardium_rv_speed_rms_mm_per_s?))).collect());
+    if right.is_empty() {
+        return Ok(());
+    }
+    let title = "Speed of the tracked endocardium of the right ventricle".into();
+    Ok(time_curves(&folder.join("speed_rv.png"), &TimeCurves { title, quantity: "RMS speed (mm/s)".into(), curves: right })?)
 }
 
 fn headline(row: &CaseRow) -> String {

@@ -74,7 +74,14 @@ impl Patient {
     pub(super) fn new(plan: &Plan, context: &RunContext) -> Result<Self, RunError> {
         let building = || context.progress().stage("building the anatomy", None);
         match (&plan.anatomy.source, &plan.images) {
-            (AnatomySource::IdealisedLv(shape), Some(ImageSource::Phantom(phantom))) => synthetic::patient(plan, shape, phantom, context),
+            (AnatomySource::IdealisedLv(shape), Some(ImageSource::Phantom(phantom))) => {
+                building();
+                synthetic::patient(plan, phantom, idealised_anatomy(&plan.anatomy, shape)?, shape.reference_time_s, context)
+            }
+            (AnatomySource::IdealisedBiventricle { shape, reference_time_s }, Some(ImageSource::Phantom(phantom))) => {
+                building();
+                synthetic::patient(plan, phantom, biventricular_anatomy(&plan.anatomy, shape)?, *reference_time_s, context)
+            }
             (AnatomySource::Labels(drawn), images) => {
                 context.progress().stage("reading images and labels", None);
                 let mut warnings = Vec::new();

@@ -6,14 +6,14 @@ use nalgebra::Vector3;
 
 use super::error::RunError;
 use super::imaged_beat::{ImagedBeat, imaged_beat};
-use super::patient::{Patient, PatientImages, anatomy_from_labels, idealised_anatomy};
+use super::patient::{Patient, PatientImages, anatomy_from_labels};
 use crate::anatomy::Anatomy;
 use crate::heart::{FrameState, Parameter, Parameters};
 use crate::image::{FieldOptions, HeartCodes, PreprocessSettings, preprocess};
 use crate::mesh::TetMesh;
-use crate::phantom::{LABEL_CAVITY_LV, LABEL_WALL};
+use crate::phantom::{LABEL_CAVITY_LV, LABEL_CAVITY_RV, LABEL_WALL};
 use crate::study::RunContext;
-use crate::study::plan::{IdealisedLv, ModelAnatomy, PhantomPlan, Plan};
+use crate::study::plan::{ModelAnatomy, PhantomPlan, Plan};
 
 /// What is known of a synthetic patient.
 pub(super) struct Truth {
@@ -27,16 +27,22 @@ pub(super) struct Truth {
     pub(super) frames: Vec<FrameState>,
 }
 
-/// Makes the synthetic patient of a plan.
-pub(super) fn patient(plan: &Plan, shape: &IdealisedLv, phantom: &PhantomPlan, context: &RunContext) -> Result<Patient, RunError> {
-    context.progress().stage("building the true heart", None);
-    let anatomy = Arc::new(idealised_anatomy(&plan.anatomy, shape)?);
-    let beat = imaged_beat(plan, phantom, &anatomy, shape.reference_time_s, context)?;
+/// Makes the synthetic patient of a plan from the true heart, which has its shape at `reference_s`.
+pub(super) fn patient(
+    plan: &Plan,
+    phantom: &PhantomPlan,
+    anatomy: Anatomy,
+    reference_s: f64,
+    context: &RunContext,
+) -> Result<Patient, RunError> {
+    let anatomy = Arc::new(anatomy);
+    let beat = imaged_beat(plan, phantom, &anatomy, reference_s, context)?;
     let ImagedBeat { parameters, frames, imaged, .. } = beat;
 
     let mut warnings = Vec::new();
     let reference_frame = phantom.reference_frame;
-    let codes = HeartCodes::left(LABEL_CAVITY_LV, LABEL_WALL);
+    let cavity_rv = (anatomy.cavities.len() > 1).then_some(LABEL_CAVITY_RV);
+    let codes = HeartCodes { cavity_rv, ..HeartCodes::left(LABEL_CAVITY_LV, LABEL_WALL) };
     let seen = match phantom.anatomy {
         ModelAnatomy::Truth => as_drawn(&anatomy, &frames[reference_frame], phantom)?,
         ModelAnatomy::Labels => {
@@ -60,7 +66,7 @@ pub(super) fn patient(plan: &Plan, shape: &IdealisedLv, phantom: &PhantomPlan, c
         parameters: model_parameters,
         images: Some(images),
         truth: Some(truth),
-        reference_s: shape.reference_time_s,
+        reference_s,
         frames_without_images: plan.simulation.frames,
         warnings,
     })
