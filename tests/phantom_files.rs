@@ -138,8 +138,10 @@ fn both_ventricles_of_a_simulated_beat_are_imaged() {
     let file = folder.path().join("volumes.csv");
     for side in ["lv", "rv"] {
         let (mesh, voxels) = (column(&file, &format!("volume_{side}_ml")), column(&file, &format!("volume_voxels_{side}_ml")));
-        // Slices of 6 mm every 7 mm miss a seventh of the heart, and the part beyond apex and base is not representative.
-        assert!(mesh.iter().zip(&voxels).all(|(mesh, voxels)| (voxels / mesh - 1.0).abs() < 0.05), "{side}: {mesh:?} {voxels:?}");
+        // Slices of 6 mm every 7 mm miss a seventh of the heart, and the part beyond apex and base is not representative: an error of
+        // some share of a slice, however much the cavity holds.
+        let share_ml = 0.04 * mesh.iter().copied().fold(0.0, f64::max);
+        assert!(mesh.iter().zip(&voxels).all(|(mesh, voxels)| (voxels - mesh).abs() < share_ml), "{side}: {mesh:?} {voxels:?}");
     }
     let map = read_label_map(&folder.path().join("labels_reference.nii.gz")).unwrap();
     assert!([1, 2, 3].iter().all(|&code| map.count(code) > 500), "LV, wall and RV are all there");
