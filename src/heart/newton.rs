@@ -40,6 +40,9 @@ const RESIDUAL_TOLERANCE: f64 = 1e-7;
 /// Residual that the linear solve of a round may leave, relative.
 const FORCING: f64 = 1e-2;
 
+/// A first trial with a residual beyond this, in the measure of [`RESIDUAL_TOLERANCE`], has squeezed a tetrahedron flat.
+const FAR_FROM_BALANCE: f64 = 0.05;
+
 /// A round that leaves more of the residual than this is followed by a new tangent.
 const KEEP_TANGENT_BELOW: f64 = 0.1;
 
@@ -154,8 +157,7 @@ impl HeartModel {
     }
 
     /// The first trial: the motion goes on with its acceleration, the pressures as they are; from where the heart is if that turns a
-    /// tetrahedron inside out.
-    /// Gives the norm of r there.
+    /// tetrahedron inside out or nearly so. Gives the norm of r there.
     fn start(&self, state: &HeartState, workspace: &mut StepWorkspace) -> Result<f64, MechanicsError> {
         workspace.predict(state, self.settings.step_s);
         let curve_s2 = self.settings.step_s.powi(2);
@@ -172,7 +174,12 @@ impl HeartModel {
         newton.direction_mm.clone_from(&workspace.trial_mm);
         newton.residual_mn.clone_from(&workspace.trial_mm);
         newton.candidate_mm.clone_from(&workspace.trial_mm);
-        self.balance(state, workspace)
+        let onward_mn = self.balance(state, workspace)?;
+        if onward_mn < FAR_FROM_BALANCE * self.operator.unit_displacement_force_mn() {
+            return Ok(onward_mn);
+        }
+        workspace.trial_mm.copy_from_slice(&state.motion.position_mm);
+        self.stay(state, workspace)
     }
 
     /// Takes forces and r back to the trial, which a round has not left.
