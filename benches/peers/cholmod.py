@@ -15,9 +15,10 @@ import sys
 import tempfile
 import venv
 
+from servant import ONE_THREAD, Servant
+
 PACKAGES = ["numpy<2", "scipy", "scikit-sparse==0.4.16", "cython<3.1", "setuptools<81"]
 SIZES = [("5k", "4.05", 9), ("15k", "2.66", 7), ("40k", "1.85", 5)]
-ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS")}
 
 
 def in_environment_of_its_own():
@@ -26,30 +27,6 @@ def in_environment_of_its_own():
         python = str(pathlib.Path(folder, "bin", "python"))
         subprocess.run([python, "-m", "pip", "install", "--quiet", *PACKAGES], check=True)
         return subprocess.run([python, __file__, "--measure", *sys.argv[1:]], env={**os.environ, **ONE_THREAD}).returncode
-
-
-class Ours:
-    """The bench as a servant; its processor time is read while it waits for the next word."""
-
-    def __init__(self):
-        root = pathlib.Path(__file__).resolve().parents[2]
-        command = ["cargo", "bench", "--bench", "factorisation", "--no-run", "--message-format=json"]
-        built = subprocess.run(command, cwd=root, check=True, capture_output=True, text=True).stdout
-        binary = [line.split('"executable":"')[1].split('"')[0] for line in built.splitlines() if '"name":"factorisation"' in line][-1]
-        environment = {**os.environ, **ONE_THREAD, "CARDIOTWIN_PEER": "1"}
-        self.process = subprocess.Popen([binary], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
-
-    def seconds(self, words):
-        before = self.used()
-        self.process.stdin.write(words + "\n")
-        self.process.stdin.flush()
-        answer = self.process.stdout.readline().strip()
-        if answer != "done":
-            sys.exit(f"our side gave up on: {words}")
-        return self.used() - before
-
-    def used(self):
-        return int(pathlib.Path(f"/proc/{self.process.pid}/schedstat").read_text().split()[0]) * 1e-9
 
 
 def measure():
@@ -70,7 +47,7 @@ def measure():
         ratio = statistics.median(a / b for a, b in pairs)
         print(f"{what:24} ours {ours:8.4f} s   CHOLMOD {peers:8.4f} s   ratio {ratio:.2f}", flush=True)
 
-    servant = Ours()
+    servant = Servant("factorisation")
     wanted = sys.argv[2:]
     for name, edge, rounds in SIZES:
         if wanted and name not in wanted:

@@ -14,9 +14,10 @@ import sys
 import tempfile
 import venv
 
+from servant import ONE_THREAD, Servant
+
 PACKAGES = ["numpy", "scipy", "SimpleITK"]
 SHAPE, SPACING_MM, ROUNDS = (192, 192, 12), (1.5, 1.5, 8.0), 21
-ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "RAYON_NUM_THREADS", "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS")}
 
 
 def in_environment_of_its_own():
@@ -25,29 +26,6 @@ def in_environment_of_its_own():
         python = str(pathlib.Path(folder, "bin", "python"))
         subprocess.run([python, "-m", "pip", "install", "--quiet", *PACKAGES], check=True)
         return subprocess.run([python, __file__, "--measure"], env={**os.environ, **ONE_THREAD}).returncode
-
-
-class Ours:
-    """The bench as a servant; its processor time is read while it waits for the next word."""
-
-    def __init__(self):
-        root = pathlib.Path(__file__).resolve().parents[2]
-        command = ["cargo", "bench", "--bench", "image", "--no-run", "--message-format=json"]
-        built = subprocess.run(command, cwd=root, check=True, capture_output=True, text=True).stdout
-        binary = [line.split('"executable":"')[1].split('"')[0] for line in built.splitlines() if '"name":"image"' in line and '"executable":"' in line][-1]
-        environment = {**os.environ, **ONE_THREAD, "CARDIOTWIN_PEER": "1"}
-        self.process = subprocess.Popen([binary], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
-
-    def seconds(self, words):
-        before = self.used()
-        self.process.stdin.write(words + "\n")
-        self.process.stdin.flush()
-        if self.process.stdout.readline().strip() != "done":
-            sys.exit(f"our side gave up on: {words}")
-        return self.used() - before
-
-    def used(self):
-        return int(pathlib.Path(f"/proc/{self.process.pid}/schedstat").read_text().split()[0]) * 1e-9
 
 
 def measure():
@@ -71,7 +49,7 @@ def measure():
         ratio = statistics.median(a / b for a, b in pairs)
         print(f"{what:28} ours {1e3 * ours:8.2f} ms   {peer} {1e3 * peers:8.2f} ms   ratio {ratio:.2f}", flush=True)
 
-    servant = Ours()
+    servant = Servant("image")
     with tempfile.TemporaryDirectory() as folder:
         file = str(pathlib.Path(folder, "image"))
         servant.seconds(f"image {file}")
