@@ -13,7 +13,7 @@ pub use build::{AnatomySettings, build_anatomy, build_from_fields, complete_anat
 pub use error::AnatomyError;
 pub use fibres::FibreRule;
 pub use idealised_biventricle::IdealisedBiventricle;
-pub use segments::DEFAULT_SEPTAL_DIRECTION;
+pub use segments::{AhaSegment, DEFAULT_SEPTAL_DIRECTION};
 
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};

@@ -8,6 +8,42 @@ use crate::mesh::{Cavity, TetMesh};
 /// Where the septum lies if nobody says: to the right and in front of the left ventricle of a human lying in a scanner (RAS).
 pub const DEFAULT_SEPTAL_DIRECTION: [f64; 3] = [0.75, 0.6, -0.3];
 
+/// A segment of the left ventricle, 1–17: 1–6 at the base, 7–12 in the middle, 13–16 towards the apex, 17 the apex \[Cerqueira2002\].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct AhaSegment(u8);
+
+impl AhaSegment {
+    /// The segment of a number; none outside 1–17.
+    pub fn new(number: u8) -> Option<Self> {
+        (1..=17).contains(&number).then_some(Self(number))
+    }
+
+    /// All segments in their order.
+    pub fn all() -> impl Iterator<Item = Self> {
+        (1..=17).map(Self)
+    }
+
+    /// Its number, 1–17.
+    pub fn number(self) -> u8 {
+        self.0
+    }
+
+    /// Whether two segments share a border. A sixth of the circle at mid-height meets two quarters towards the apex where their angles
+    /// overlap.
+    pub fn is_neighbour_of(self, other: Self) -> bool {
+        #[rustfmt::skip]
+        const BORDERS: [(u8, u8); 36] = [
+            (1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (1, 6),
+            (1, 7), (2, 8), (3, 9), (4, 10), (5, 11), (6, 12),
+            (7, 8), (8, 9), (9, 10), (10, 11), (11, 12), (7, 12),
+            (7, 13), (8, 13), (8, 14), (9, 14), (9, 15), (10, 15), (11, 15), (11, 16), (12, 16), (12, 13),
+            (13, 14), (14, 15), (15, 16), (13, 16),
+            (13, 17), (14, 17), (15, 17), (16, 17),
+        ];
+        BORDERS.contains(&(self.0, other.0)) || BORDERS.contains(&(other.0, self.0))
+    }
+}
+
 /// The heart's frame from its LV cavity: the long axis joins the centroid of the blood with the centre of the lid.
 ///
 /// # Errors
@@ -110,5 +146,30 @@ mod tests {
         assert_eq!(at(10.0, septum_above), 2);
         assert_eq!(at(10.0, left_behind + up * 0.5), 6);
         assert_eq!(at(40.0, left_behind - up * 0.5), 11);
+    }
+
+    /// Two points a little apart lie in one segment or in neighbours, and every border is met: the table against the geometry.
+    #[test]
+    fn neighbours_are_the_segments_that_touch() {
+        let axes = axes_in_chest();
+        let anterior = axes.long_axis.cross(&axes.septal_direction);
+        let at = |angle_deg: f64, height: f64| {
+            let (sin, cos) = angle_deg.to_radians().sin_cos();
+            let point = axes.base_centre_mm - axes.long_axis * height + (axes.septal_direction * cos + anterior * sin) * 20.0;
+            AhaSegment::new(aha_segment(&axes, 90.0, &point)).unwrap()
+        };
+        let mut met = std::collections::BTreeSet::new();
+        // Off the borders themselves, where rounding decides.
+        let places = (0..720).flat_map(|angle| (0..200).map(move |height| (0.13 + 0.5 * f64::from(angle), 0.13 + 0.5 * f64::from(height))));
+        for (angle, height) in places {
+            for other in [at(angle + 0.5, height), at(angle, height + 0.5)] {
+                let here = at(angle, height);
+                assert!(here == other || height >= 89.5 || here.is_neighbour_of(other), "{here:?} {other:?}");
+                met.insert((here.min(other), here.max(other)));
+            }
+        }
+        let all = || AhaSegment::all().flat_map(|a| AhaSegment::all().map(move |b| (a, b)));
+        assert!(all().filter(|(a, b)| a < b && a.is_neighbour_of(*b)).all(|pair| met.contains(&pair)));
+        assert_eq!((AhaSegment::new(0), AhaSegment::new(18)), (None, None));
     }
 }

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::heart::{Parameter, ParameterSpec, Section};
-use crate::study::plan::{AnatomySource, Beats, FreeParameter, ImageSource, LabelSource, ModelAnatomy, OnsetSite};
+use crate::study::plan::{AnatomySource, Beats, FreeParameter, ImageSource, LabelSource, ModelAnatomy, OnsetSite, Regions};
 use crate::study::{Choice, Plan};
 
 /// An error and what caused it, one cause a line.
@@ -40,10 +40,10 @@ pub(super) fn plan_lines(plan: &Plan) -> String {
         line("tracking", format!("{} image forces, base by {}", tracking.scheme.word(), tracking.base.word()));
     }
     for free in plan.personalisation.iter().flat_map(|personalisation| &personalisation.parameters) {
-        line("free", free_parameter(free));
+        line(if free.fixed { "fixed" } else { "free" }, free_parameter(free));
     }
     for parameter in &plan.written {
-        line("set", format!("{} = {}", parameter.spec().name, plan.parameters[*parameter]));
+        line("set", format!("{} = {}", parameter.name(), plan.parameters[*parameter]));
     }
     line("output", plan.output.directory.display().to_string());
     text
@@ -123,7 +123,8 @@ fn free_parameter(free: &FreeParameter) -> String {
     let spec = free.parameter.spec();
     let start = free.start.map_or(String::new(), |start| format!(", start {start}"));
     let prior = free.prior_sd.map_or(String::new(), |sd| format!(", prior {} ± {sd}", free.prior_mean));
-    format!("{} in {} to {} {}{start}{prior}", spec.name, free.lower, free.upper, spec.unit)
+    let regions = if free.regions == Regions::Whole { String::new() } else { format!(" by {}", free.regions.word()) };
+    format!("{}{regions} in {} to {} {}{start}{prior}", spec.name, free.lower, free.upper, spec.unit)
 }
 
 fn name(path: &Path) -> String {

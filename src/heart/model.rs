@@ -75,8 +75,8 @@ pub struct HeartModel {
 /// The active stress of every tetrahedron.
 #[derive(Debug, Clone)]
 pub(super) struct Contraction {
-    /// The law of \[Billet2009\] eq. 1 with σ0 = 1 kPa.
-    law: ContractionLaw,
+    /// The law of \[Billet2009\] eq. 1 with σ0 = 1 kPa, a vertex.
+    laws: Vec<ContractionLaw>,
     /// σ0 a tetrahedron, kPa.
     peak_kpa: Vec<f64>,
 }
@@ -136,7 +136,7 @@ impl HeartModel {
     /// # Errors
     /// As [`HeartModel::new`].
     pub fn with_parameters(&self, parameters: Parameters) -> Result<Self, HeartError> {
-        let same = |set: &[Parameter]| set.iter().all(|&p| self.parameters[p].to_bits() == parameters[p].to_bits());
+        let same = |set: &[Parameter]| set.iter().all(|&parameter| self.parameters.agrees_with(&parameters, parameter));
         check_settings(&self.settings, &self.anatomy, &parameters)?;
         let operator = if same(&PASSIVE) {
             Arc::clone(&self.operator)
@@ -188,11 +188,11 @@ impl HeartModel {
     }
 
     pub(super) fn write_active_stress(&self, time_s: f64, fraction: &mut Vec<f64>, stress_kpa: &mut Vec<f64>) {
-        let law = &self.contraction.law;
         fraction.clear();
-        let stress =
-            |vertex: usize| self.rhythm.since_depolarisation_s(vertex, time_s).map_or(0.0, |since_s| law.stress_since_kpa(since_s));
-        fraction.extend((0..self.anatomy.mesh.vertex_count()).map(stress));
+        let stress = |(vertex, law): (usize, &ContractionLaw)| {
+            self.rhythm.since_depolarisation_s(vertex, time_s).map_or(0.0, |since_s| law.stress_since_kpa(since_s))
+        };
+        fraction.extend(self.contraction.laws.iter().enumerate().map(stress));
         let mean = |corners: &[usize; 4]| corners.iter().map(|&vertex| fraction[vertex]).sum::<f64>() / 4.0;
         stress_kpa.clear();
         let tetrahedra = self.anatomy.mesh.tetrahedra().iter().zip(&self.contraction.peak_kpa);
@@ -226,21 +226,27 @@ impl HeartModel {
 impl Contraction {
     /// The fibrous ring of the valves does not contract.
     fn new(anatomy: &Anatomy, tissue: &Myocardium, parameters: &Parameters) -> Result<Self, HeartError> {
-        let law = ContractionLaw {
+        let at_vertices = |parameter| parameters.on_vertices(parameter, anatomy);
+        let [contraction, relaxation, duration] =
+            [Parameter::ContractionRate, Parameter::RelaxationRate, Parameter::ActionPotentialDuration].map(at_vertices);
+        let law = |vertex: usize| ContractionLaw {
             peak_kpa: 1.0,
-            contraction_rate_per_s: parameters[Parameter::ContractionRate],
-            relaxation_rate_per_s: parameters[Parameter::RelaxationRate],
-            action_potential_duration_s: parameters[Parameter::ActionPotentialDuration],
+            contraction_rate_per_s: contraction[vertex],
+            relaxation_rate_per_s: relaxation[vertex],
+            action_potential_duration_s: duration[vertex],
             period_s: parameters[Parameter::HeartPeriod],
         };
-        law.check()?;
-        let peak = |region: &Region| match region {
-            Region::FreeWallLv | Region::Septum => parameters[Parameter::ContractionPeakLv],
+        let laws: Vec<_> = (0..anatomy.mesh.vertex_count()).map(law).collect();
+        laws.iter().try_for_each(ContractionLaw::check)?;
+        let peak_lv_kpa = parameters.on_tetrahedra(Parameter::ContractionPeakLv, anatomy);
+        let peak = |(region, lv_kpa): (&Region, f64)| match region {
+            Region::FreeWallLv | Region::Septum => lv_kpa,
             Region::FreeWallRv => parameters[Parameter::ContractionPeakRv],
             Region::Scar => parameters[Parameter::ContractionPeakScar],
         };
-        let peak_kpa = anatomy.regions.iter().zip(tissue.muscle_shares()).map(|(region, share)| peak(region) * share).collect();
-        Ok(Self { law, peak_kpa })
+        let peak_kpa = anatomy.regions.iter().zip(peak_lv_kpa).map(peak).zip(tissue.muscle_shares()).map(|(peak, share)| peak * share);
+        let peak_kpa = peak_kpa.collect();
+        Ok(Self { laws, peak_kpa })
     }
 }
 

@@ -143,10 +143,11 @@ pub(super) fn conduction(anatomy: &Anatomy, parameters: &Parameters) -> Result<C
             touches[vertex] = true;
         }
     }
-    let bulk = parameters[Parameter::ConductionVelocity];
-    let layer = bulk * parameters[Parameter::EndocardialSpeedFactor];
+    let factor = parameters[Parameter::EndocardialSpeedFactor];
+    let bulk = parameters.on_tetrahedra(Parameter::ConductionVelocity, anatomy);
     let has_face = |corners: &[usize; 4]| corners.iter().filter(|&&vertex| touches[vertex]).count() >= 3;
-    let speeds = anatomy.mesh.tetrahedra().iter().map(|corners| if has_face(corners) { layer } else { bulk }).collect();
+    let speed = |(corners, bulk): (&[usize; 4], f64)| if has_face(corners) { bulk * factor } else { bulk };
+    let speeds = anatomy.mesh.tetrahedra().iter().zip(bulk).map(speed).collect();
     let fibres = anatomy.fibre_axes.iter().map(|axes| axes.column(0).into_owned()).collect();
     Ok(Conduction::new(speeds, parameters[Parameter::AnisotropyRatio], fibres)?)
 }

@@ -2,7 +2,10 @@
 //!
 //! The name is the same string in the study file, in `parameters.csv` and on the command line.
 
+use std::collections::BTreeMap;
 use std::ops::Index;
+
+use super::{Part, RegionalParameter};
 
 /// Which table of the study file a parameter is written in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -121,10 +124,11 @@ parameter_table! {
     ImageGainBase: Tracking "image_gain_base_kpa_per_mm" ["kPa/mm"] = 5.0 in 0.0..1e4, "Gain per area of the block-matched base.", "chosen";
 }
 
-/// One value a parameter, always within its physical range.
+/// One value a parameter, always within its physical range; and the values of parts of the heart that differ.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameters {
     values: Vec<f64>,
+    regional: BTreeMap<RegionalParameter, f64>,
 }
 
 /// A value outside the physical range of its parameter.
@@ -152,21 +156,25 @@ impl Parameter {
 
 impl Default for Parameters {
     fn default() -> Self {
-        Self { values: Parameter::ALL.iter().map(|parameter| parameter.spec().default).collect() }
+        Self { values: Parameter::ALL.iter().map(|parameter| parameter.spec().default).collect(), regional: BTreeMap::new() }
     }
 }
 
 impl Parameters {
-    /// Sets a value.
+    /// Sets a value, in the whole heart or in one part.
     ///
     /// # Errors
     /// [`OutOfRange`] if the value is not finite or outside the physical range.
-    pub fn set(&mut self, parameter: Parameter, value: f64) -> Result<(), OutOfRange> {
-        let &ParameterSpec { name, unit, lower, upper, .. } = parameter.spec();
+    pub fn set(&mut self, parameter: impl Into<RegionalParameter>, value: f64) -> Result<(), OutOfRange> {
+        let regional: RegionalParameter = parameter.into();
+        let &ParameterSpec { name, unit, lower, upper, .. } = regional.parameter().spec();
         if !(lower..=upper).contains(&value) {
             return Err(OutOfRange { name, value, lower, upper, unit });
         }
-        self.values[parameter as usize] = value;
+        match regional.part() {
+            Part::Whole => self.values[regional.parameter() as usize] = value,
+            _ => drop(self.regional.insert(regional, value)),
+        }
         Ok(())
     }
 
@@ -174,9 +182,30 @@ impl Parameters {
     ///
     /// # Errors
     /// [`OutOfRange`] as for [`Parameters::set`].
-    pub fn with(mut self, parameter: Parameter, value: f64) -> Result<Self, OutOfRange> {
+    pub fn with(mut self, parameter: impl Into<RegionalParameter>, value: f64) -> Result<Self, OutOfRange> {
         self.set(parameter, value)?;
         Ok(self)
+    }
+
+    /// Every value: of the whole heart in the order of the table, then of the parts that differ.
+    pub fn all_values(&self) -> impl Iterator<Item = (RegionalParameter, f64)> + '_ {
+        let whole = Parameter::ALL.iter().map(|&parameter| (RegionalParameter::from(parameter), self[parameter]));
+        whole.chain(self.regional.iter().map(|(&regional, &value)| (regional, value)))
+    }
+
+    /// The values that parts of the heart have of their own, in the order of the parts.
+    pub fn regional_values(&self, parameter: Parameter) -> impl Iterator<Item = (RegionalParameter, f64)> + '_ {
+        let of_parameter = self.regional.iter().filter(move |(regional, _)| regional.parameter() == parameter);
+        of_parameter.map(|(&regional, &value)| (regional, value))
+    }
+
+    /// Whether a parameter has the same values, bit by bit, everywhere in the heart.
+    pub(super) fn agrees_with(&self, other: &Self, parameter: Parameter) -> bool {
+        let bits = |parameters: &Self| {
+            let own = parameters.regional_values(parameter).map(|(regional, value)| (regional, value.to_bits()));
+            (parameters[parameter].to_bits(), own.collect::<Vec<_>>())
+        };
+        bits(self) == bits(other)
     }
 }
 
@@ -185,6 +214,20 @@ impl Index<Parameter> for Parameters {
 
     fn index(&self, parameter: Parameter) -> &f64 {
         &self.values[parameter as usize]
+    }
+}
+
+impl Index<RegionalParameter> for Parameters {
+    type Output = f64;
+
+    /// The part's own value, else that of the ventricle, else that of the whole heart.
+    fn index(&self, regional: RegionalParameter) -> &f64 {
+        let wider = match regional.part() {
+            Part::Segment(_) => RegionalParameter::new(regional.parameter(), Part::LeftVentricle),
+            _ => None,
+        };
+        let own = self.regional.get(&regional).or_else(|| self.regional.get(&wider?));
+        own.unwrap_or(&self[regional.parameter()])
     }
 }
 

@@ -60,13 +60,14 @@ impl HeartRhythm {
         settings: &ModelSettings,
         own_beat: Option<&Arc<ActivationMap>>,
     ) -> Result<Self, HeartError> {
-        let (period_s, refractory_s) = (parameters[Parameter::HeartPeriod], parameters[Parameter::ActionPotentialDuration]);
+        let period_s = parameters[Parameter::HeartPeriod];
+        let refractory_s = parameters.on_vertices(Parameter::ActionPotentialDuration, anatomy);
         let own = settings.onset_sites.onsets(anatomy, parameters);
         let own_beat = match own_beat {
             Some(known) => Arc::clone(known),
             None => Arc::new(activate(&anatomy.mesh, &conduction(anatomy, parameters)?, &own)?),
         };
-        let returns = |onset: &Onset| onset.time_s >= own_beat.times_s()[onset.vertex] + refractory_s;
+        let returns = |onset: &Onset| onset.time_s >= own_beat.times_s()[onset.vertex] + refractory_s[onset.vertex];
         let returns = own.iter().any(returns);
         if settings.extra_stimuli.is_empty() && !returns {
             return Ok(Self::undisturbed(own_beat, period_s, vec![]));
@@ -101,7 +102,7 @@ impl HeartRhythm {
         }
         let extra_count = stimuli.len();
         stimuli.extend((0..=last_beat).flat_map(|beat| own.iter().map(move |&onset| later(onset, period_s * beat as f64))));
-        let refractory_s = vec![parameters[Parameter::ActionPotentialDuration]; anatomy.mesh.vertex_count()];
+        let refractory_s = parameters.on_vertices(Parameter::ActionPotentialDuration, anatomy);
         let rhythm =
             activate_beats(&anatomy.mesh, &conduction(anatomy, parameters)?, &stimuli, &refractory_s, &ActivationSettings::default())?;
         let mut times_s: Vec<Vec<f64>> = rhythm.beats().iter().map(|beat| beat.times_s().to_vec()).collect();

@@ -3,7 +3,7 @@
 use nalgebra::DVector;
 
 use super::{ParameterSpace, PersonalisationError};
-use crate::heart::{Parameter, Parameters};
+use crate::heart::{Parameter, Parameters, Part};
 
 /// A smooth inequality c(θ) ≤ 0 in coordinates.
 pub trait InequalityConstraint: Sync {
@@ -119,7 +119,8 @@ impl InequalityConstraint for RepolarisedBeforeNextBeat {
         let period_s = parameters[Parameter::HeartPeriod];
         for (slope, entry) in gradient.iter_mut().zip(self.space.free()) {
             let value = parameters[entry.parameter];
-            let physical = match entry.parameter {
+            let physical = match entry.parameter.parameter() {
+                _ if entry.parameter.part() != Part::Whole => 0.0,
                 Parameter::OnsetTime | Parameter::ActionPotentialDuration => 1.0 / period_s,
                 Parameter::ConductionVelocity => -self.longest_way_mm / (value * value * period_s),
                 Parameter::HeartPeriod => -(self.at(&parameters) + 1.0) / period_s,

@@ -29,7 +29,8 @@ pub use parameters::{FreeParameter, ParameterSpace, Transform};
 pub use problem::{CalibrationProblem, Evaluation, Linearisation};
 pub use profile::{ProfilePoint, RISE_95, crossing_95, profile};
 pub use residuals::{
-    BoundaryResidual, CalibrationFrame, CalibrationTrajectory, Loss, PriorResidual, StackedResidual, SurfaceTarget, VolumeCurveResidual,
+    BoundaryResidual, CalibrationFrame, CalibrationTrajectory, Loss, PriorResidual, StackedResidual, SurfaceTarget, Tie,
+    VolumeCurveResidual,
 };
 pub use simplex::{SimplexSearch, search_simplex};
 pub use start_values::{ElectricalTiming, PilotFit, VolumeTiming, conduction_velocity_mm_per_s, contraction_peak_for_ejection_fraction};

@@ -5,8 +5,8 @@
 use nalgebra::DVector;
 use serde::Serialize;
 
-use super::PersonalisationError;
-use crate::heart::{Parameter, Parameters};
+use super::{PersonalisationError, Tie};
+use crate::heart::{Parameter, Parameters, Part, RegionalParameter};
 
 /// How a physical value becomes a coordinate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -47,9 +47,9 @@ impl Transform {
 /// One parameter of a study: where it starts, how far it may go, and what is known before the data.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FreeParameter {
-    /// Which parameter of the model.
-    pub parameter: Parameter,
-    /// The part of the heart it speaks of, for people (`global`, `lv`, `rv`, `scar`, …).
+    /// Which parameter of the model, and where.
+    pub parameter: RegionalParameter,
+    /// The part of the heart it speaks of, for people (`global`, `lv`, `rv`, `scar`, `segment_7`, …).
     pub region: String,
     /// Coordinate.
     pub transform: Transform,
@@ -70,8 +70,9 @@ pub struct FreeParameter {
 impl FreeParameter {
     /// A parameter at its default, within its physical range, with a wide prior: a factor of two (log) or a quarter of the range.
     /// Positive parameters are sought in their logarithm.
-    pub fn new(parameter: Parameter) -> Self {
-        let spec = parameter.spec();
+    pub fn new(parameter: impl Into<RegionalParameter>) -> Self {
+        let parameter: RegionalParameter = parameter.into();
+        let spec = parameter.parameter().spec();
         let transform = if spec.lower > 0.0 { Transform::Log } else { Transform::Identity };
         let prior_sd = match transform {
             Transform::Log => std::f64::consts::LN_2,
@@ -79,7 +80,7 @@ impl FreeParameter {
         };
         Self {
             parameter,
-            region: default_region(spec.name).to_owned(),
+            region: region(parameter).to_owned(),
             transform,
             initial: spec.default,
             lower: spec.lower,
@@ -117,7 +118,7 @@ impl FreeParameter {
     }
 
     fn check(&self) -> Result<(), PersonalisationError> {
-        let spec = self.parameter.spec();
+        let spec = self.parameter.parameter().spec();
         let refuse = |reason: String| Err(PersonalisationError::FreeParameter { name: spec.name, region: self.region.clone(), reason });
         if !(self.lower < self.upper && self.lower >= spec.lower && self.upper <= spec.upper) {
             let (lower, upper, unit) = (self.lower, self.upper, spec.unit);
@@ -141,8 +142,12 @@ impl FreeParameter {
     }
 }
 
-/// The region that a parameter's own name tells.
-fn default_region(name: &str) -> &'static str {
+/// The part of the heart, which may be told by a parameter's own name.
+fn region(parameter: RegionalParameter) -> &'static str {
+    if parameter.part() != Part::Whole {
+        return parameter.part().name();
+    }
+    let name = parameter.parameter().spec().name;
     ["lv", "rv", "scar"].into_iter().find(|region| name.contains(&format!("_{region}_"))).unwrap_or("global")
 }
 
@@ -152,6 +157,7 @@ pub struct ParameterSpace {
     base: Parameters,
     all: Vec<FreeParameter>,
     free: Vec<usize>,
+    ties: Vec<Tie>,
 }
 
 impl ParameterSpace {
@@ -164,7 +170,7 @@ impl ParameterSpace {
         for (index, entry) in parameters.iter().enumerate() {
             entry.check()?;
             if parameters[..index].iter().any(|earlier| earlier.parameter == entry.parameter) {
-                let (name, region) = (entry.parameter.spec().name, entry.region.clone());
+                let (name, region) = (entry.parameter.parameter().spec().name, entry.region.clone());
                 return Err(PersonalisationError::FreeParameter { name, region, reason: "listed twice".to_owned() });
             }
             base.set(entry.parameter, entry.initial)?;
@@ -173,7 +179,28 @@ impl ParameterSpace {
         if free.is_empty() {
             return Err(PersonalisationError::Shape { what: "free parameters", found: 0, expected: 1 });
         }
-        Ok(Self { base, all: parameters, free })
+        Ok(Self { base, all: parameters, free, ties: Vec::new() })
+    }
+
+    /// The same space, where a parameter differs little between neighbouring AHA segments: by a standard deviation `sd` of the coordinate
+    /// (relative in a logarithm). Segments that are not free are left alone.
+    #[must_use]
+    pub fn with_alike_segments(mut self, parameter: Parameter, sd: f64) -> Self {
+        let segments = self.free().enumerate().filter_map(|(index, entry)| match entry.parameter.part() {
+            Part::Segment(segment) if entry.parameter.parameter() == parameter => Some((index, segment)),
+            _ => None,
+        });
+        let segments: Vec<_> = segments.collect();
+        for (place, &(second, segment)) in segments.iter().enumerate() {
+            let neighbours = segments[..place].iter().filter(|(_, other)| segment.is_neighbour_of(*other));
+            self.ties.extend(neighbours.map(|&(first, _)| Tie { first, second, sd }));
+        }
+        self
+    }
+
+    /// The coordinates that are expected to be alike.
+    pub fn ties(&self) -> &[Tie] {
+        &self.ties
     }
 
     /// Number of coordinates.
@@ -192,13 +219,14 @@ impl ParameterSpace {
     }
 
     /// The coordinate of a parameter, if it is free.
-    pub fn coordinate_index(&self, parameter: Parameter) -> Option<usize> {
+    pub fn coordinate_index(&self, parameter: impl Into<RegionalParameter>) -> Option<usize> {
+        let parameter = parameter.into();
         self.free().position(|entry| entry.parameter == parameter)
     }
 
     /// Short name of every coordinate, for messages.
     pub fn names(&self) -> Vec<String> {
-        self.free().map(|entry| entry.parameter.spec().name.to_owned()).collect()
+        self.free().map(|entry| entry.parameter.name()).collect()
     }
 
     /// The model's parameters at `coordinates`.
@@ -282,6 +310,21 @@ mod tests {
         assert!((space.to_coordinates(&parameters) - coordinates).amax() < 1e-15);
         assert_eq!(space.coordinate_index(Parameter::OnsetTime), Some(1));
         assert_eq!(space.coordinate_index(Parameter::ContractionRate), None);
+    }
+
+    #[test]
+    fn neighbouring_free_segments_are_tied_and_named() {
+        let in_segment = |number| {
+            let segment = crate::anatomy::AhaSegment::new(number).unwrap();
+            let regional = RegionalParameter::new(Parameter::ContractionPeakLv, Part::Segment(segment)).unwrap();
+            FreeParameter { fixed: number == 3, ..FreeParameter::new(regional).between(20.0, 300.0) }
+        };
+        let onset = FreeParameter::new(Parameter::OnsetTime).between(-0.1, 0.2);
+        let entries = vec![in_segment(1), onset, in_segment(2), in_segment(3), in_segment(4)];
+        let space = ParameterSpace::new(Parameters::default(), entries).unwrap().with_alike_segments(Parameter::ContractionPeakLv, 0.2);
+        assert_eq!(space.ties(), [Tie { first: 0, second: 2, sd: 0.2 }], "segments 1 and 2; 3 is fixed, 4 touches neither");
+        assert_eq!(space.names()[2], "contraction_peak_lv_kpa.segment_2");
+        assert_eq!(space.all()[2].region, "segment_2");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The calibration problem: a model, residuals, a prior, bounds and constraints, as argmin sees it.
 //!
-//! $$ \min_\theta \sum_i \rho_i(r_i(\theta)) + \tfrac12 \Big\lVert \frac{\theta - \mu}{s} \Big\rVert^2,\quad l \le \theta \le u,\; c(\theta) \le 0 $$
+//! $$ \min_\theta \sum_i \rho_i(r_i(\theta)) + \tfrac12 \Big\lVert \frac{\theta - \mu}{s} \Big\rVert^2
+//! + \tfrac12 \sum_{a \sim b} \Big( \frac{\theta_a - \theta_b}{s_{ab}} \Big)^2,\quad l \le \theta \le u,\; c(\theta) \le 0 $$
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -73,10 +74,10 @@ impl Linearisation {
             row *= weight;
         }
         let precision = self.prior.precision();
-        let hessian = self.jacobian.tr_mul(&weighted) + DMatrix::from_diagonal(&precision);
+        let hessian = self.jacobian.tr_mul(&weighted) + &precision;
         // The two triangles of the product are rounded differently.
         let hessian = (&hessian + hessian.transpose()) * 0.5;
-        let gradient = weighted.tr_mul(&self.rows) + precision.component_mul(&(&self.coordinates - self.prior.mean()));
+        let gradient = weighted.tr_mul(&self.rows) + precision * (&self.coordinates - self.prior.mean());
         (hessian, gradient)
     }
 
@@ -104,7 +105,7 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
     /// # Errors
     /// [`PersonalisationError`] for a prior that is none.
     pub fn new(model: &'a M, residual: &'a dyn Residual<M::Trajectory>, space: &ParameterSpace) -> Result<Self, PersonalisationError> {
-        let prior = PriorResidual::new(space.prior_mean(), space.prior_sd())?;
+        let prior = PriorResidual::new(space.prior_mean(), space.prior_sd())?.with_ties(space.ties().to_vec())?;
         Self::in_box(model, residual, prior, space.lower(), space.upper())
     }
 

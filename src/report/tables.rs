@@ -32,6 +32,12 @@ pub struct ParameterRow {
     pub interval_high: Option<f64>,
     /// Whether the value found lies on a bound.
     pub at_bound: bool,
+    /// `free`, on its `lower` or `upper` bound, or `fixed` because the study does not seek it.
+    pub state: &'static str,
+    /// Centre of the prior; empty where there is none.
+    pub prior_mean: Option<f64>,
+    /// Its standard deviation, in the parameter's unit.
+    pub prior_sd: Option<f64>,
 }
 
 /// A row of `iterations.csv`: one iteration of the search.
@@ -129,12 +135,15 @@ mod tests {
             interval_low: Some(96.6),
             interval_high: None,
             at_bound: false,
+            state: "free",
+            prior_mean: None,
+            prior_sd: None,
         };
         write_csv(&file, &[row]).unwrap();
         assert_eq!(
             std::fs::read_to_string(&file).unwrap(),
-            "parameter,unit,region,initial,value,lower,upper,sd,interval_low,interval_high,at_bound\n\
-             contraction_peak_lv_kpa,kPa,heart,90.0,101.5,30.0,200.0,2.5,96.6,,false\n"
+            "parameter,unit,region,initial,value,lower,upper,sd,interval_low,interval_high,at_bound,state,prior_mean,prior_sd\n\
+             contraction_peak_lv_kpa,kPa,heart,90.0,101.5,30.0,200.0,2.5,96.6,,false,free,,\n"
         );
     }
 

@@ -12,7 +12,7 @@ pub use volume::VolumeCurveResidual;
 
 use std::ops::Range;
 
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
 use super::{PersonalisationError, Residual};
 
@@ -87,11 +87,23 @@ impl<T> Residual<T> for StackedResidual<'_, T> {
     }
 }
 
-/// (θ − μ)/s: what is known of the parameters before the data; coordinates with infinite s have no row.
+/// Two coordinates that are expected to be alike, as those of neighbouring segments: the difference is zero to within `sd`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tie {
+    /// A coordinate.
+    pub first: usize,
+    /// Another one.
+    pub second: usize,
+    /// Standard deviation of their difference.
+    pub sd: f64,
+}
+
+/// (θ − μ)/s, then (θ_a − θ_b)/s_ab: what is known of the parameters before the data; coordinates with infinite s pull nothing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PriorResidual {
     mean: DVector<f64>,
     sd: DVector<f64>,
+    ties: Vec<Tie>,
 }
 
 impl PriorResidual {
@@ -110,22 +122,57 @@ impl PriorResidual {
         if let Some(&value) = mean.iter().find(|mean| !mean.is_finite()) {
             return Err(PersonalisationError::Setting { what: "prior mean", value, remedy: "must be finite" });
         }
-        Ok(Self { mean, sd })
+        Ok(Self { mean, sd, ties: Vec::new() })
     }
 
     /// No prior on p coordinates.
     pub fn none(dimension: usize) -> Self {
-        Self { mean: DVector::zeros(dimension), sd: DVector::from_element(dimension, f64::INFINITY) }
+        Self { mean: DVector::zeros(dimension), sd: DVector::from_element(dimension, f64::INFINITY), ties: Vec::new() }
     }
 
-    /// Rows at `coordinates`, one a coordinate; zero where there is no prior.
+    /// The same with coordinates tied to each other.
+    ///
+    /// # Errors
+    /// [`PersonalisationError::Setting`] if a standard deviation is not positive, [`PersonalisationError::Shape`] for a coordinate that
+    /// is none.
+    pub fn with_ties(mut self, ties: Vec<Tie>) -> Result<Self, PersonalisationError> {
+        for tie in &ties {
+            let (expected, found) = (self.mean.len(), tie.first.max(tie.second));
+            if found >= expected {
+                return Err(PersonalisationError::Shape {
+                    what: "coordinates, for a tie between them",
+                    found: expected,
+                    expected: found + 1,
+                });
+            }
+            if tie.sd.is_nan() || tie.sd <= 0.0 {
+                let remedy = "must be positive (infinite for none)";
+                return Err(PersonalisationError::Setting { what: "standard deviation between neighbours", value: tie.sd, remedy });
+            }
+        }
+        self.ties = ties;
+        Ok(self)
+    }
+
+    /// Rows at `coordinates`, one a coordinate (zero where there is no prior) and one a tie.
     pub fn evaluate(&self, coordinates: &DVector<f64>) -> DVector<f64> {
-        (coordinates - &self.mean).component_div(&self.sd)
+        let own = (coordinates - &self.mean).component_div(&self.sd);
+        let tied = self.ties.iter().map(|tie| (coordinates[tie.first] - coordinates[tie.second]) / tie.sd);
+        DVector::from_iterator(own.len() + self.ties.len(), own.iter().copied().chain(tied))
     }
 
-    /// 1/s² a coordinate.
-    pub fn precision(&self) -> DVector<f64> {
-        self.sd.map(|sd| 1.0 / (sd * sd))
+    /// The Hessian of half the squared rows.
+    pub fn precision(&self) -> DMatrix<f64> {
+        let mut precision = DMatrix::from_diagonal(&self.sd.map(|sd| 1.0 / (sd * sd)));
+        for tie in &self.ties {
+            let weight = 1.0 / (tie.sd * tie.sd);
+            for (row, column, sign) in
+                [(tie.first, tie.first, 1.0), (tie.second, tie.second, 1.0), (tie.first, tie.second, -1.0), (tie.second, tie.first, -1.0)]
+            {
+                precision[(row, column)] += sign * weight;
+            }
+        }
+        precision
     }
 
     /// Standard deviations s.
@@ -182,7 +229,22 @@ mod tests {
     fn a_prior_without_standard_deviation_pulls_nothing() {
         let prior = PriorResidual::new(DVector::from_vec(vec![1.0, 5.0]), DVector::from_vec(vec![0.5, f64::INFINITY])).unwrap();
         assert_eq!(prior.evaluate(&DVector::from_vec(vec![2.0, 9.0])).as_slice(), [2.0, 0.0]);
-        assert_eq!(prior.precision().as_slice(), [4.0, 0.0]);
+        assert_eq!(prior.precision().as_slice(), [4.0, 0.0, 0.0, 0.0]);
         assert!(PriorResidual::new(DVector::zeros(1), DVector::zeros(1)).is_err());
+    }
+
+    /// ½ ‖rows‖² is the quadratic form of the precision about the means: ties pull on differences alone.
+    #[test]
+    fn ties_add_their_own_rows_and_curvature() {
+        let sd = DVector::from_vec(vec![0.5, f64::INFINITY, f64::INFINITY]);
+        let ties = vec![Tie { first: 0, second: 1, sd: 0.2 }, Tie { first: 1, second: 2, sd: 0.1 }];
+        let prior = PriorResidual::new(DVector::zeros(3), sd).unwrap().with_ties(ties).unwrap();
+        let theta = DVector::from_vec(vec![0.3, -0.1, 0.2]);
+        assert_eq!(prior.evaluate(&theta).len(), 5);
+        assert!((prior.evaluate(&theta).norm_squared() - (theta.transpose() * prior.precision() * &theta)[(0, 0)]).abs() < 1e-12);
+        let uniform = DVector::from_element(3, 0.7);
+        assert!((prior.evaluate(&uniform).norm() - 1.4).abs() < 1e-12, "what is alike costs nothing");
+        let bad = |tie| PriorResidual::none(2).with_ties(vec![tie]).is_err();
+        assert!(bad(Tie { first: 0, second: 2, sd: 1.0 }) && bad(Tie { first: 0, second: 1, sd: 0.0 }));
     }
 }

@@ -71,7 +71,7 @@ pub fn estimates(space: &ParameterSpace, coordinates: &DVector<f64>, uncertainty
 }
 
 fn estimate(entry: &FreeParameter, value: f64, sd: Option<f64>, at_bound: BoundState) -> ParameterEstimate {
-    let spec = entry.parameter.spec();
+    let spec = entry.parameter.parameter().spec();
     let end = |sign: f64| {
         let coordinate = entry.transform.to_coordinate(value);
         sd.map(|sd| entry.transform.to_value(coordinate + sign * NORMAL_QUANTILE_95 * sd).max(entry.lower).min(entry.upper))

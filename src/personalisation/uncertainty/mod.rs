@@ -80,7 +80,9 @@ impl Uncertainty {
         let precision = problem.prior().precision();
         let mut information = whitened.tr_mul(&whitened);
         for (column, &index) in free.iter().enumerate() {
-            information[(column, column)] += precision[index] * scales[column] * scales[column];
+            for (row, &other) in free.iter().enumerate() {
+                information[(row, column)] += precision[(other, index)] * scales[row] * scales[column];
+            }
         }
         let (scaled_covariance, undetermined) = inverse(information);
         let covariance =

@@ -23,14 +23,14 @@ pub use labels::{LabelSource, LabelsPlan};
 pub use mesh_file::{LengthUnit, MeshPlan, MeshSource};
 pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite, SitePlan, TimeSchemePlan};
 pub use output::OutputPlan;
-pub use personalisation::{FreeParameter, PersonalisationPlan, VolumeData};
+pub use personalisation::{FreeParameter, PersonalisationPlan, Regions, VolumeData};
 pub use phantom::{ContractionPlan, ModelAnatomy, PhantomPlan};
 pub use tracking::{BaseMode, GainChoice, TrackingPlan};
 
 use super::provenance::Provenance;
 use super::reader::{Choice, Reader, TableReader};
 use super::{Config, StudyError};
-use crate::heart::{Parameter, Parameters, Section};
+use crate::heart::{Parameters, RegionalParameter, Section};
 
 /// Defines an enum whose values are words of the study file.
 macro_rules! words {
@@ -78,7 +78,7 @@ pub struct Plan {
     /// Every parameter of the model: as written, or its default.
     pub parameters: Parameters,
     /// The parameters that the study file writes.
-    pub written: BTreeSet<Parameter>,
+    pub written: BTreeSet<RegionalParameter>,
     /// Time stepping and onset.
     pub model: ModelPlan,
     /// How many beats.

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use nalgebra::Vector3;
 
 use super::words;
-use crate::heart::{Parameter, Parameters, Section};
+use crate::heart::{Parameters, RegionalParameter, Section};
 use crate::mechanics::TimeScheme;
 use crate::study::reader::TableReader;
 
@@ -80,7 +80,7 @@ pub struct ModelPlan {
     pub time_scheme: TimeScheme,
 }
 
-pub(super) fn read(root: &TableReader, parameters: &mut Parameters, written: &mut BTreeSet<Parameter>) -> ModelPlan {
+pub(super) fn read(root: &TableReader, parameters: &mut Parameters, written: &mut BTreeSet<RegionalParameter>) -> ModelPlan {
     let onset = read_onset(root.table(Section::Electrophysiology.key()), parameters, written);
     let mechanics = root.table(Section::Mechanics.key());
     mechanics.parameters(Section::Mechanics, parameters, written);
@@ -109,7 +109,7 @@ fn read_time_scheme(mechanics: &TableReader) -> TimeScheme {
     }
 }
 
-fn read_onset(table: TableReader, parameters: &mut Parameters, written: &mut BTreeSet<Parameter>) -> OnsetPlan {
+fn read_onset(table: TableReader, parameters: &mut Parameters, written: &mut BTreeSet<RegionalParameter>) -> OnsetPlan {
     table.parameters(Section::Electrophysiology, parameters, written);
     let place = table.choice("onset", OnsetSite::Normal);
     let sites: Vec<_> = table.tables("site").into_iter().map(read_site).collect();

@@ -1,24 +1,42 @@
 //! `[personalisation]`: which parameters are free, within what, and what they are fitted to.
 
 use super::words;
-use crate::heart::{Parameter, Parameters};
+use crate::heart::{Parameter, Parameters, RegionalParameter};
 use crate::study::reader::TableReader;
+
+words! {
+    /// In how many parts of the heart a parameter is found.
+    Regions {
+        /// One value for the whole heart.
+        Whole = "whole",
+        /// One for the left ventricle, one for the right, one for scar, as far as the heart has them.
+        Ventricles = "ventricles",
+        /// One for each AHA segment of the left ventricle.
+        AhaSegments = "aha_segments",
+    }
+}
 
 /// A parameter to be found.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FreeParameter {
     /// `name`.
     pub parameter: Parameter,
+    /// `regions`.
+    pub regions: Regions,
+    /// `neighbour_sd`: standard deviation of the difference between neighbouring segments, relative where the parameter is positive.
+    pub neighbour_sd: f64,
     /// `lower`: smallest value; the physical one where absent.
     pub lower: f64,
     /// `upper`: largest value; the physical one where absent.
     pub upper: f64,
-    /// `start`: start value; the model's value where absent.
+    /// `start`: start value; from the data or the model's value where absent.
     pub start: Option<f64>,
     /// `prior_mean`: centre of the prior; the model's value where absent.
     pub prior_mean: f64,
     /// `prior_sd`: its standard deviation, in the parameter's unit; no prior where absent.
     pub prior_sd: Option<f64>,
+    /// `fixed`: kept at its start and listed as such.
+    pub fixed: bool,
 }
 
 words! {
@@ -59,17 +77,24 @@ pub(super) fn read(table: TableReader, parameters: &Parameters) -> Option<Person
         tolerance: table.number("tolerance", 1e-8..=0.1, 1e-3),
     });
     if let Some(plan) = &plan {
-        if !table.has("parameter") {
-            table.missing("parameter", "[[personalisation.parameter]] for each free parameter");
-        }
-        for (number, free) in plan.parameters.iter().enumerate() {
-            if plan.parameters[..number].iter().any(|other| other.parameter == free.parameter) {
-                table.problem(&format!("parameter[{number}].name"), "stands twice", "free each parameter once");
-            }
-        }
+        check_parameters(&table, &plan.parameters);
     }
     table.close();
     plan
+}
+
+fn check_parameters(table: &TableReader, parameters: &[FreeParameter]) {
+    if !table.has("parameter") {
+        table.missing("parameter", "[[personalisation.parameter]] for each free parameter");
+    }
+    if !parameters.is_empty() && parameters.iter().all(|one| one.fixed) {
+        table.problem("parameter", "leaves nothing to be found: all of them are fixed", "take away `fixed = true` from one");
+    }
+    for (number, free) in parameters.iter().enumerate() {
+        if parameters[..number].iter().any(|other| other.parameter == free.parameter) {
+            table.problem(&format!("parameter[{number}].name"), "stands twice", "free each parameter once");
+        }
+    }
 }
 
 fn read_parameter(table: TableReader, parameters: &Parameters) -> Option<FreeParameter> {
@@ -93,12 +118,31 @@ fn read_parameter(table: TableReader, parameters: &Parameters) -> Option<FreePar
     let model = parameter.map_or(lower, |p| parameters[p]);
     let free = FreeParameter {
         parameter: parameter.unwrap_or(Parameter::ALL[0]),
+        regions: table.choice("regions", Regions::Whole),
+        neighbour_sd: table.number("neighbour_sd", 1e-6..=1e6, 0.3),
         lower,
         upper,
         start: table.optional_number("start", inside),
         prior_mean: table.number("prior_mean", lowest..=highest, model),
         prior_sd: table.optional_number("prior_sd", 1e-12..=1e12),
+        fixed: table.flag("fixed", false),
     };
+    check_regions(&table, &free, parameter);
     table.close();
     parameter.map(|_| free)
+}
+
+fn check_regions(table: &TableReader, free: &FreeParameter, parameter: Option<Parameter>) {
+    let parts = parameter.map(RegionalParameter::parts_of).unwrap_or_default();
+    let is_possible = match free.regions {
+        Regions::Whole => true,
+        Regions::Ventricles => parts.contains(&crate::heart::Part::Scar),
+        Regions::AhaSegments => !parts.is_empty(),
+    };
+    if !is_possible && parameter.is_some() {
+        table.problem("regions", "is not for this parameter", "docs/study_file.md says which parameters have values by region");
+    }
+    if table.has("neighbour_sd") && free.regions != Regions::AhaSegments {
+        table.problem("neighbour_sd", "is of segments alone", "write regions = \"aha_segments\", or take it away");
+    }
 }

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::Vector3;
 
 use super::words;
-use crate::heart::{Parameter, Parameters};
+use crate::heart::{Parameter, Parameters, RegionalParameter};
 use crate::phantom::SyntheticCineSettings;
 use crate::study::reader::TableReader;
 
@@ -38,7 +38,7 @@ pub struct PhantomPlan {
     /// `[phantom.contraction]`; the model beats where absent.
     pub contraction: Option<ContractionPlan>,
     /// `[phantom.truth]`: true values of parameters; the others are the model's.
-    pub truth: BTreeMap<Parameter, f64>,
+    pub truth: BTreeMap<RegionalParameter, f64>,
     /// `[phantom.tolerance]`: how far the value found may lie from the true one, in the parameter's unit.
     pub tolerances: BTreeMap<Parameter, f64>,
     /// `anatomy`.
@@ -84,6 +84,7 @@ pub(super) fn read(table: TableReader) -> Option<PhantomPlan> {
     for &parameter in Parameter::ALL {
         truth_table.parameter(parameter, &mut truth, &mut written);
     }
+    truth_table.regions(Parameter::ALL, &mut truth, &mut written);
     truth_table.close();
     let tolerance_table = table.table("tolerance");
     let tolerance = |&parameter: &Parameter| Some((parameter, tolerance_table.optional_number(parameter.spec().name, 0.0..=1e12)?));

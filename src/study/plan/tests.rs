@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::*;
+use crate::heart::Parameter;
 use crate::study::Overrides;
 
 const SIMULATE: &str = "kind = \"simulate\"\n[anatomy.idealised_lv]\n";
@@ -149,7 +150,7 @@ fn a_missing_data_folder_is_named() {
 fn a_phantom_states_its_truth_and_what_is_found() {
     let plan = plan(PHANTOM, &[]).unwrap();
     let Some(ImageSource::Phantom(phantom)) = &plan.images else { panic!("no phantom") };
-    assert_eq!(phantom.truth.get(&Parameter::ContractionPeakLv), Some(&95.0));
+    assert_eq!(phantom.truth.get(&Parameter::ContractionPeakLv.into()), Some(&95.0));
     let free = &plan.personalisation.as_ref().unwrap().parameters[0];
     assert_eq!((free.lower, free.upper, free.start, free.prior_sd), (30.0, 200.0, None, None));
     assert_eq!(free.prior_mean, Parameter::ContractionPeakLv.spec().default);
@@ -194,14 +195,42 @@ fn a_mesh_has_its_own_keys() {
 }
 
 #[test]
+fn a_scar_is_written_by_segment_and_parts_are_checked() {
+    let scar = |more: &str| format!("{SIMULATE}[[mechanics.region]]\nparts = [\"segment_4\", \"segment_10\"]\n{more}");
+    let written = plan(&scar("contraction_peak_lv_kpa = 30\n"), &[]).unwrap();
+    let in_segment = |number| {
+        let segment = crate::anatomy::AhaSegment::new(number).unwrap();
+        written.parameters[RegionalParameter::new(Parameter::ContractionPeakLv, crate::heart::Part::Segment(segment)).unwrap()]
+    };
+    assert_eq!([4, 10, 11].map(in_segment), [30.0, 30.0, Parameter::ContractionPeakLv.spec().default]);
+    assert_eq!(written.written.len(), 2);
+    assert!(problem(&scar("contraction_peak_rv_kpa = 30\n"), &[]).contains("is not known in [mechanics.region[0]]"));
+    assert!(problem(&scar("contraction_peak_lv_kpa = -30\n").replace(", \"segment_10\"", ""), &[]).contains("is out of range"));
+    let elsewhere = scar("contraction_peak_lv_kpa = 30\n").replace("\"segment_4\", \"segment_10\"", "\"rv\"");
+    assert!(problem(&elsewhere, &[]).contains("has no value of rv; it has values of its own in the segments"));
+    assert!(problem(&elsewhere.replace("\"rv\"", "\"segment_18\""), &[]).contains("segment_1 to segment_17"));
+    let twice = scar("contraction_peak_lv_kpa = 30\n").replace("segment_10", "segment_4");
+    assert!(problem(&twice, &[]).contains("stands twice for segment_4"));
+}
+
+#[test]
+fn a_parameter_is_freed_by_segment_or_fixed() {
+    let by_segment = PHANTOM.replace("lower = 30", "regions = \"aha_segments\"\nneighbour_sd = 0.2\nlower = 30");
+    let free = plan(&by_segment, &[]).unwrap().personalisation.unwrap().parameters[0];
+    assert_eq!((free.regions, free.neighbour_sd, free.fixed), (Regions::AhaSegments, 0.2, false));
+    assert!(problem(&by_segment.replace("aha_segments", "whole"), &[]).contains("is of segments alone"));
+    assert!(problem(&PHANTOM.replace("lower = 30", "regions = \"ventricles\"\nlower = 30"), &[]).contains("is not for this parameter"));
+    assert!(problem(&PHANTOM.replace("lower = 30", "fixed = true\nlower = 30"), &[]).contains("leaves nothing to be found"));
+}
+
+#[test]
 fn the_same_parameter_is_not_freed_twice() {
     let twice = format!("{PHANTOM}[[personalisation.parameter]]\nname = \"contraction_peak_lv_kpa\"\n");
     assert!(plan(&twice, &[]).unwrap_err().to_string().contains("stands twice"));
 }
 
 /// A study with every table that is optional as a whole, so that their keys are asked for.
-const LISTS: &str =
-    "[[electrophysiology.site]]\n[[images.validation]]\n[[personalisation.parameter]]\n[phantom.contraction]\n[comparison]\n";
+const LISTS: &str = "[[electrophysiology.site]]\n[[electrophysiology.region]]\n[[mechanics.region]]\n[[phantom.truth.region]]\n[[images.validation]]\n[[personalisation.parameter]]\n[phantom.contraction]\n[comparison]\n";
 
 #[test]
 fn every_key_is_documented_and_every_documented_key_exists() {

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use super::words;
-use crate::heart::{Parameter, Parameters, Section};
+use crate::heart::{Parameters, RegionalParameter, Section};
 use crate::study::reader::{Choice, TableReader};
 use crate::tracking::{BaseProjection, BlockMatchingSettings, BoundarySettings, ForceScheme, Similarity};
 
@@ -76,7 +76,7 @@ pub struct TrackingPlan {
     pub block_range_mm: f64,
 }
 
-pub(super) fn read(table: TableReader, parameters: &mut Parameters, written: &mut BTreeSet<Parameter>) -> TrackingPlan {
+pub(super) fn read(table: TableReader, parameters: &mut Parameters, written: &mut BTreeSet<RegionalParameter>) -> TrackingPlan {
     table.parameters(Section::Tracking, parameters, written);
     let (boundary, blocks) = (BoundarySettings::default(), BlockMatchingSettings::default());
     let block_size_mm = blocks.voxel_mm * (2 * blocks.block_radius_voxels + 1) as f64;

@@ -130,7 +130,7 @@ impl RestingHeart {
 
 fn read_drawn(plan: &Plan, drawn: &LabelsPlan) -> Result<(DrawnHeart, Option<StudyCine>), RunError> {
     let Some(ImageSource::Cine(images)) = &plan.images else { return Ok((DrawnHeart::read(drawn)?, None)) };
-    let period_s = plan.written.contains(&Parameter::HeartPeriod).then_some(plan.parameters[Parameter::HeartPeriod]);
+    let period_s = plan.written.contains(&Parameter::HeartPeriod.into()).then_some(plan.parameters[Parameter::HeartPeriod]);
     let study = StudyCine::read(images, period_s, Some(drawn))?;
     let (frame, frame_count) = (drawn.frame, study.cine.frames().len());
     if frame >= frame_count {

@@ -88,7 +88,7 @@ impl Patient {
                 let mut parameters = plan.parameters.clone();
                 let (heart, images) = match images {
                     Some(ImageSource::Cine(images)) => {
-                        let period_s = plan.written.contains(&Parameter::HeartPeriod).then_some(parameters[Parameter::HeartPeriod]);
+                        let period_s = plan.written.contains(&Parameter::HeartPeriod.into()).then_some(parameters[Parameter::HeartPeriod]);
                         let study = StudyCine::read(images, period_s, Some(drawn))?;
                         parameters.set(Parameter::HeartPeriod, study.cine.period_s())?;
                         let heart = study.read_heart(drawn)?;

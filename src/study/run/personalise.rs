@@ -3,7 +3,7 @@
 
 use std::time::Instant;
 
-use nalgebra::{DVector, Vector3};
+use nalgebra::DVector;
 use serde::Serialize;
 
 use super::calibration::{calibration_trajectory, residual, simulate_at};
@@ -14,32 +14,33 @@ use super::forward::{beat, frame_volumes_lv_ml, heart_model, step_count};
 use super::leave::{BeatSummary, FrameRow, Summary, frame_rows, write_base_motion, write_beat, write_series};
 use super::measured::{MeasuredVolumes, measured_volumes};
 use super::montages::{NamedMotion, montages};
+use super::parameter_rows::{interval, parameter_rows};
 use super::patient::{Patient, PatientImages};
 use super::pictures;
+use super::recovery::{Recovery, difference_rms, recovery};
 use super::start::start_space;
-use super::track::{GAIN_FACTORS, Tracked, held_out_rms_mm, surface_rms_mm, track_patient, validate};
-use crate::heart::{FrameState, HeartModel, Parameter, Parameters, Trajectory};
+use super::track::{Tracked, held_out_rms_mm, surface_rms_mm, track_patient, validate};
+use crate::heart::{HeartModel, Parameter, Trajectory};
 use crate::mesh::{MeshQuality, SurfaceTag};
-use crate::numerics::root_mean_square;
 use crate::personalisation::{
     Calibration, CalibrationOutcome, CalibrationProblem, CalibrationTrajectory, DifferenceScheme, FiniteDifferenceModel, FreeParameter,
-    GainEvaluation, GaussNewtonSettings, NoiseScale, ParameterEstimate, ParameterSpace, StackedResidual, Uncertainty, calibrate, estimates,
+    GainEvaluation, GaussNewtonSettings, NoiseScale, ParameterSpace, StackedResidual, Uncertainty, calibrate,
 };
-use crate::report::figures::{CostHistory, Curve, Look, ParameterInterval, cost_over_iterations, parameter_intervals};
+use crate::report::figures::{CostHistory, Curve, Look, cost_over_iterations, parameter_intervals};
 use crate::report::{IterationRow, ParameterRow, write_csv, write_iterations, write_json};
-use crate::study::plan::{ImageSource, PersonalisationPlan, PhantomPlan};
+use crate::study::plan::PersonalisationPlan;
 use crate::study::{Outcome, Plan, RunContext, Status};
 
 /// Relative step of the finite differences, in the coordinates (a logarithm where the parameter is positive).
 const DIFFERENCE_STEP: f64 = 2e-3;
 
 /// What a calibration started from and came to.
-struct Personalised {
-    space: ParameterSpace,
-    calibration: Calibration<CalibrationTrajectory>,
-    uncertainty: Option<Uncertainty>,
-    model: HeartModel,
-    fitted: Trajectory,
+pub(super) struct Personalised {
+    pub(super) space: ParameterSpace,
+    pub(super) calibration: Calibration<CalibrationTrajectory>,
+    pub(super) uncertainty: Option<Uncertainty>,
+    pub(super) model: HeartModel,
+    pub(super) fitted: Trajectory,
     initial: Trajectory,
     measured: MeasuredVolumes,
 }
@@ -176,29 +177,6 @@ impl ValidationSummary {
     }
 }
 
-/// How far the values found lie from the truth of a phantom.
-#[derive(Serialize)]
-#[allow(missing_docs, reason = "the names are the keys of the file, units last")]
-struct Recovery {
-    within_tolerance: bool,
-    volume_tracked_rms_ml: f64,
-    volume_model_rms_ml: f64,
-    /// Where the model has the true mesh.
-    position_tracked_rmse_mm: Option<f64>,
-    position_model_rmse_mm: Option<f64>,
-    position_no_motion_rmse_mm: Option<f64>,
-    parameters: Vec<RecoveredParameter>,
-}
-
-#[derive(Serialize)]
-struct RecoveredParameter {
-    parameter: &'static str,
-    truth: f64,
-    value: f64,
-    error: f64,
-    tolerance: Option<f64>,
-}
-
 pub(super) fn tracking_summary(tracked: &Tracked) -> TrackingSummary {
     TrackingSummary {
         boundary_rms_endocardium_lv_mm: surface_rms_mm(&tracked.motion, SurfaceTag::EndocardiumLv),
@@ -224,86 +202,6 @@ pub(super) fn validation_summary(patient: &Patient, images: &PatientImages, trac
         volume_labels_ml: one.tracked.label_volume_ml,
     };
     found.into_iter().map(summary).collect()
-}
-
-fn difference_rms(a: &[f64], b: &[f64]) -> f64 {
-    root_mean_square(&a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<_>>())
-}
-
-fn recovery<'a>(plan: &Plan, patient: &'a Patient, tracked: &'a Tracked, found: &'a Personalised) -> Option<Recovery> {
-    let (truth, Some(ImageSource::Phantom(phantom))) = (patient.truth.as_ref()?, &plan.images) else { return None };
-    let parameters: Vec<_> = found.space.free().map(|free| recovered(free.parameter, &truth.parameters, found, phantom)).collect();
-    let tracked_ml = frame_volumes_lv_ml(&tracked.motion.trajectory);
-    // The same vertices of the same tissue, whatever instant they were drawn on.
-    let same_mesh = truth.anatomy.mesh.tetrahedra() == patient.anatomy.mesh.tetrahedra();
-    let rest_mm = patient.anatomy.mesh.vertices_mm();
-    let rmse = |position_of: &dyn Fn(usize) -> Option<&'a [Vector3<f64>]>| same_mesh.then(|| position_rmse_mm(&truth.frames, position_of));
-    Some(Recovery {
-        within_tolerance: parameters.iter().all(|one| one.tolerance.is_none_or(|tolerance| one.error.abs() <= tolerance)),
-        volume_tracked_rms_ml: difference_rms(&tracked_ml, &truth.volumes_lv_ml),
-        volume_model_rms_ml: difference_rms(&frame_volumes_lv_ml(&found.fitted), &truth.volumes_lv_ml),
-        position_tracked_rmse_mm: rmse(&|frame| Some(&tracked.motion.trajectory.frames.get(frame)?.position_mm)),
-        position_model_rmse_mm: rmse(&|frame| Some(&found.fitted.frames.get(frame)?.position_mm)),
-        position_no_motion_rmse_mm: rmse(&|_| Some(rest_mm)),
-        parameters,
-    })
-}
-
-/// Root mean square distance of all vertices over all frames.
-fn position_rmse_mm<'a>(truth: &[FrameState], position_of: &dyn Fn(usize) -> Option<&'a [Vector3<f64>]>) -> f64 {
-    let distances = truth.iter().enumerate().flat_map(|(frame, state)| {
-        let found = position_of(frame).unwrap_or_default();
-        state.position_mm.iter().zip(found).map(|(a, b)| (a - b).norm())
-    });
-    root_mean_square(&distances.collect::<Vec<_>>())
-}
-
-fn recovered(parameter: Parameter, truth: &Parameters, found: &Personalised, phantom: &PhantomPlan) -> RecoveredParameter {
-    let (truth, value) = (truth[parameter], found.model.parameters()[parameter]);
-    let tolerance = phantom.tolerances.get(&parameter).copied();
-    RecoveredParameter { parameter: parameter.spec().name, truth, value, error: value - truth, tolerance }
-}
-
-/// The parameters found, then the gains that the images were tracked with.
-fn parameter_rows(found: &Personalised, tracked: &Tracked, written: &Parameters) -> Vec<ParameterRow> {
-    let estimates = estimates(&found.space, &found.calibration.coordinates, found.uncertainty.as_ref());
-    // A search that ends on a bound may stop short of it by rounding.
-    let near = |value: f64, bound: f64, one: &ParameterEstimate| (value - bound).abs() <= 1e-6 * (one.upper - one.lower);
-    let row = |one: ParameterEstimate| ParameterRow {
-        at_bound: near(one.value, one.lower, &one) || near(one.value, one.upper, &one),
-        parameter: one.parameter.into(),
-        unit: one.unit.into(),
-        region: one.region,
-        initial: one.initial,
-        value: one.value,
-        lower: one.lower,
-        upper: one.upper,
-        sd: one.sd,
-        interval_low: one.interval_low,
-        interval_high: one.interval_high,
-    };
-    let mut rows: Vec<ParameterRow> = estimates.into_iter().map(row).collect();
-    rows.extend(tracked.gain_choice.iter().flat_map(|choice| gain_rows(choice.at_edge, tracked, written)));
-    rows
-}
-
-/// The gains chosen on held-out boundary points.
-fn gain_rows(at_bound: bool, tracked: &Tracked, written: &Parameters) -> Vec<ParameterRow> {
-    let gains = [(Parameter::ImageGainEndocardiumLv, "endocardium_lv"), (Parameter::ImageGainEpicardium, "epicardium")];
-    let row = |(gain, region): (Parameter, &str)| ParameterRow {
-        parameter: gain.spec().name.into(),
-        unit: gain.spec().unit.into(),
-        region: region.into(),
-        initial: written[gain],
-        value: tracked.parameters[gain],
-        lower: written[gain] * GAIN_FACTORS.lower,
-        upper: written[gain] * GAIN_FACTORS.upper,
-        sd: None,
-        interval_low: None,
-        interval_high: None,
-        at_bound,
-    };
-    gains.into_iter().map(row).collect()
 }
 
 fn status_of(outcome: &CalibrationOutcome) -> Status {
@@ -399,9 +297,10 @@ fn headlines(details: &Details, parameters: &[ParameterRow]) -> Vec<String> {
         details.volume_rms_initial_ml,
         details.volume_rms_ml
     )];
-    lines.extend(parameters.iter().map(|row| {
+    lines.extend(parameters.iter().filter(|row| row.state != "fixed").map(|row| {
         let bound = if row.at_bound { " (on its bound)" } else { "" };
-        format!("{} = {:.4} {}, from {:.4}{bound}", row.parameter, row.value, row.unit, row.initial)
+        let place = if row.region.starts_with("segment") { format!(" in {}", row.region) } else { String::new() };
+        format!("{}{place} = {:.4} {}, from {:.4}{bound}", row.parameter, row.value, row.unit, row.initial)
     }));
     lines.extend(details.verdict.iter().cloned());
     lines.extend(details.validation.iter().map(ValidationSummary::headline));
@@ -457,20 +356,7 @@ fn draw(
     montages(plan, patient, images, clock, &motions)?;
     let cost = found.calibration.records.iter().map(|record| record.cost).collect();
     cost_over_iterations(&folder.join("cost.png"), &CostHistory { title: "Cost of the calibration".into(), cost })?;
-    let intervals: Vec<_> = parameter_rows(found, tracked, &patient.parameters).into_iter().map(|row| interval(row, recovery)).collect();
+    let sought = parameter_rows(found, tracked, &patient.parameters).into_iter().filter(|row| row.state != "fixed");
+    let intervals: Vec<_> = sought.map(|row| interval(row, recovery)).collect();
     Ok(parameter_intervals(&folder.join("parameters.png"), "Parameters found", &intervals)?)
-}
-
-fn interval(row: ParameterRow, recovery: Option<&Recovery>) -> ParameterInterval {
-    let truth = recovery.and_then(|recovery| recovery.parameters.iter().find(|one| one.parameter == row.parameter)).map(|one| one.truth);
-    ParameterInterval {
-        name: row.parameter,
-        unit: row.unit,
-        lower: row.lower,
-        upper: row.upper,
-        initial: row.initial,
-        value: row.value,
-        interval: row.interval_low.zip(row.interval_high),
-        truth,
-    }
 }

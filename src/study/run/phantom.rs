@@ -12,7 +12,6 @@ use super::leave::{BeatSummary, frame_rows, write_beat, write_positions};
 use super::montages::{NamedMotion, montages};
 use super::patient::{Patient, PatientImages};
 use crate::anatomy::Ventricle;
-use crate::heart::Parameter;
 use crate::image::{PreprocessSettings, VolumeCurve, preprocess, write_cine, write_label_map, write_label_maps};
 use crate::mesh::MeshQuality;
 use crate::numerics::root_mean_square;
@@ -71,7 +70,7 @@ struct Summary<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     prescribed_ejection_fraction: Option<f64>,
     /// All parameters of the heart that was imaged.
-    true_parameters: BTreeMap<&'static str, f64>,
+    true_parameters: BTreeMap<String, f64>,
     mesh: MeshQuality,
     warnings: &'a [String],
     wall_time_s: f64,
@@ -110,7 +109,7 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
         beat: beat.model.as_ref().map(|(model, trajectory)| BeatSummary::new(model, trajectory, &beat.clock)),
         images,
         prescribed_ejection_fraction: phantom.contraction.map(|contraction| contraction.ejection_fraction),
-        true_parameters: Parameter::ALL.iter().map(|&parameter| (parameter.spec().name, beat.parameters[parameter])).collect(),
+        true_parameters: beat.parameters.all_values().map(|(parameter, value)| (parameter.name(), value)).collect(),
         mesh: MeshQuality::of(&patient.anatomy.mesh),
         warnings: &patient.warnings,
         wall_time_s: started.elapsed().as_secs_f64(),

@@ -4,12 +4,13 @@ use super::calibration::simulate_parameters;
 use super::clock::Clock;
 use super::error::RunError;
 use super::forward::frame_volumes_lv_ml;
-use crate::heart::{HeartModel, Parameter, Parameters};
+use crate::anatomy::Anatomy;
+use crate::heart::{HeartModel, Parameter, Parameters, Part, RegionalParameter};
 use crate::personalisation::{
     ElectricalTiming, FreeParameter, ParameterSpace, PersonalisationError, VolumeTiming, contraction_peak_for_ejection_fraction,
 };
 use crate::study::RunContext;
-use crate::study::plan::PersonalisationPlan;
+use crate::study::plan::{FreeParameter as FreeParameterPlan, PersonalisationPlan, Regions};
 
 /// Time from depolarisation to ejection that the first guess of the onset takes; one pilot corrects it.
 const ISOVOLUMIC_CONTRACTION_S: f64 = 0.06;
@@ -37,13 +38,34 @@ pub(super) fn start_space(
         }
         context.progress().warning(&format!("start values are the model's own: {error}"));
     }
-    let free = wanted.parameters.iter().map(|free| {
-        let entry = FreeParameter::new(free.parameter).between(free.lower, free.upper);
-        let mean = free.prior_mean.clamp(free.lower, free.upper);
-        let prior_sd = free.prior_sd.map_or(f64::INFINITY, |sd| sd / entry.transform.slope(mean));
-        entry.starting_at(start[free.parameter]).with_prior(mean, prior_sd)
-    });
-    Ok(ParameterSpace::new(base.parameters().clone(), free.collect())?)
+    let entries =
+        wanted.parameters.iter().flat_map(|free| regional_parameters(free, base.anatomy()).map(|regional| entry(free, regional, &start)));
+    let space = ParameterSpace::new(start.clone(), entries.collect())?;
+    let by_segment = wanted.parameters.iter().filter(|free| free.regions == Regions::AhaSegments);
+    Ok(by_segment.fold(space, |space, free| space.with_alike_segments(free.parameter, free.neighbour_sd)))
+}
+
+/// The parameter in the parts of the heart in which the study wants it, as far as the heart has them.
+fn regional_parameters(free: &FreeParameterPlan, anatomy: &Anatomy) -> impl Iterator<Item = RegionalParameter> {
+    let is_wanted = |part: &Part| match (free.regions, part) {
+        (Regions::Whole, part) => *part == Part::Whole,
+        (Regions::Ventricles, part) => matches!(part, Part::LeftVentricle | Part::RightVentricle | Part::Scar),
+        (Regions::AhaSegments, part) => matches!(part, Part::Segment(_)),
+    };
+    let has_tissue =
+        |part: &Part| anatomy.regions.iter().zip(&anatomy.aha_segments).any(|(&region, &segment)| part.contains(region, segment));
+    let parts: Vec<Part> = Part::all().filter(is_wanted).filter(has_tissue).collect();
+    let parameter = free.parameter;
+    parts.into_iter().filter_map(move |part| RegionalParameter::new(parameter, part))
+}
+
+/// What the study says of a parameter, for one part of the heart.
+fn entry(free: &FreeParameterPlan, regional: RegionalParameter, start: &Parameters) -> FreeParameter {
+    let entry = FreeParameter::new(regional).between(free.lower, free.upper);
+    let mean = free.prior_mean.clamp(free.lower, free.upper);
+    let prior_sd = free.prior_sd.map_or(f64::INFINITY, |sd| sd / entry.transform.slope(mean));
+    let initial = start[regional].clamp(free.lower, free.upper);
+    FreeParameter { fixed: free.fixed, ..entry.starting_at(initial).with_prior(mean, prior_sd) }
 }
 
 /// Moves what has no start of its own in the study: timing first, then σ0.
@@ -56,7 +78,7 @@ fn from_volume_curve(
     context: &RunContext,
 ) -> Result<(), RunError> {
     let bounds = |parameter| {
-        let open = wanted.parameters.iter().find(|free| free.parameter == parameter && free.start.is_none())?;
+        let open = wanted.parameters.iter().find(|free| free.parameter == parameter && free.start.is_none() && !free.fixed)?;
         Some((open.lower, open.upper))
     };
     let timing_of = |volumes_ml: &[f64]| {

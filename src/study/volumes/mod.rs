@@ -159,7 +159,7 @@ pub(super) fn measured_curve(plan: &Plan) -> Result<VolumeCurve, RunError> {
 
 fn of_study(plan: &Plan) -> Result<Measured, RunError> {
     let Some(ImageSource::Cine(images)) = &plan.images else { return Err(RunError::NothingToFit) };
-    let period_s = plan.written.contains(&Parameter::HeartPeriod).then_some(plan.parameters[Parameter::HeartPeriod]);
+    let period_s = plan.written.contains(&Parameter::HeartPeriod.into()).then_some(plan.parameters[Parameter::HeartPeriod]);
     let drawn = match &plan.anatomy.source {
         AnatomySource::Labels(drawn) => Some(drawn),
         _ => None,
