@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a test may stop at the first surprise, and says what it could not look at")]
 
+mod surfaces;
+
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -17,6 +19,7 @@ use cardiotwin::mesh::{MeshQuality, SurfaceTag, TetLocator};
 use cardiotwin::numerics::{mean, median, quantile};
 use cardiotwin::phantom::{LABEL_CAVITY_LV, LABEL_CAVITY_RV, LABEL_WALL, ShortAxisStack, VoxelSampling, rasterise};
 use nalgebra::Vector3;
+use surfaces::distances_mm;
 
 const CODES: HeartCodes = HeartCodes { cavity_lv: LABEL_CAVITY_LV, wall_lv: LABEL_WALL, cavity_rv: Some(LABEL_CAVITY_RV), wall_rv: None };
 
@@ -29,7 +32,7 @@ fn biventricle() -> &'static Anatomy {
         centre_mm: Vector3::new(12.0, -31.0, 55.0),
         ..IdealisedBiventricle::default()
     };
-    ANATOMY.get_or_init(|| heart.build(&MesherSettings::with_edge_length_mm(3.5), &AnatomySettings::default()).unwrap())
+    ANATOMY.get_or_init(|| heart.build(&MesherSettings::with_edge_length_mm(5.0), &AnatomySettings::default()).unwrap())
 }
 
 /// Every voxel by what fills most of it.
@@ -65,27 +68,6 @@ fn volumes_ml(anatomy: &Anatomy) -> [f64; 3] {
     [cavity(0), cavity(1), anatomy.mesh.total_volume_mm3() / 1e3]
 }
 
-/// Distances (mm) of a surface's vertices from the same surface of another mesh, at least `above_mm` below the base of the fields.
-fn distances_mm(from: &Anatomy, to: &Anatomy, tag: SurfaceTag, fields: &HeartFields, above_mm: f64) -> Vec<f64> {
-    let triangles: Vec<[Vector3<f64>; 3]> = to.surface.triangles_with(tag).map(|t| t.map(|v| to.mesh.vertices_mm()[v])).collect();
-    let points = from.surface.vertices_with(tag).into_iter().map(|v| from.mesh.vertices_mm()[v]);
-    let is_below = |p: &Vector3<f64>| fields.base_plane.signed_distance_mm(p) < -above_mm;
-    points.filter(is_below).map(|p| triangles.iter().map(|t| distance_mm(&p, t)).fold(f64::INFINITY, f64::min)).collect()
-}
-
-/// Distance of a point from a triangle.
-fn distance_mm(p: &Vector3<f64>, &[a, b, c]: &[Vector3<f64>; 3]) -> f64 {
-    let from_edge = |[a, b]: [Vector3<f64>; 2]| {
-        let edge = b - a;
-        (p - a - edge * ((p - a).dot(&edge) / edge.norm_squared()).clamp(0.0, 1.0)).norm()
-    };
-    let normal = (b - a).cross(&(c - a)).normalize();
-    let edges = [[a, b], [b, c], [c, a]];
-    let is_over = edges.iter().all(|[u, v]| (v - u).cross(&(p - u)).dot(&normal) >= 0.0);
-    let nearest = edges.map(from_edge).into_iter().fold(f64::INFINITY, f64::min);
-    if is_over { nearest.min((p - a).dot(&normal).abs()) } else { nearest }
-}
-
 /// The boundary is one sphere: the wall has no handle and no bubble.
 fn assert_is_a_ball(anatomy: &Anatomy) {
     let triangles = anatomy.surface.triangles();
@@ -96,7 +78,7 @@ fn assert_is_a_ball(anatomy: &Anatomy) {
 
 /// Volumes are those of the voxels, surfaces those of the heart that was drawn.
 fn assert_rebuilt(truth: &Anatomy, labels: &LabelMap, surface_mean_mm: f64, surface_p95_mm: f64) {
-    let (fields, anatomy) = rebuilt(labels, &FieldOptions::default(), 4.5);
+    let (fields, anatomy) = rebuilt(labels, &FieldOptions::default(), 5.0);
     assert_is_a_ball(&anatomy);
     let sizes = &fields.report;
     let labelled_ml = [sizes.labelled_cavity_lv_ml, sizes.labelled_cavity_rv_ml.unwrap(), sizes.labelled_wall_ml + sizes.grown_wall_ml];
@@ -107,7 +89,7 @@ fn assert_rebuilt(truth: &Anatomy, labels: &LabelMap, surface_mean_mm: f64, surf
     assert!(quality.dihedral_least_deg > 10.0 && quality.dihedral_percentile_1_deg > 20.0, "{quality:?}");
     let slice_mm = labels.grid().spacing_mm().z;
     for tag in [SurfaceTag::EndocardiumLv, SurfaceTag::EndocardiumRv, SurfaceTag::Epicardium] {
-        let distances = distances_mm(&anatomy, truth, tag, &fields, slice_mm);
+        let distances = distances_mm(&anatomy, truth, tag, |p| fields.base_plane.signed_distance_mm(p) < -slice_mm);
         let (mean_mm, p95_mm) = (mean(&distances), quantile(&distances, 0.95).unwrap());
         assert!(mean_mm < surface_mean_mm && p95_mm < surface_p95_mm, "{tag:?}: {mean_mm} mm, {p95_mm} mm");
     }
@@ -159,7 +141,7 @@ fn a_right_ventricle_without_a_wall_gets_one_of_the_thickness_asked_for() {
     let labels = without_rv_wall(biventricle(), &drawn(biventricle(), 1.5, 8.0));
     for wall_thickness_rv_mm in [3.0, 5.0] {
         let options = FieldOptions { wall_thickness_rv_mm, ..FieldOptions::default() };
-        let (fields, anatomy) = rebuilt(&labels, &options, 5.0);
+        let (fields, anatomy) = rebuilt(&labels, &options, 6.0);
         assert_is_a_ball(&anatomy);
         assert!(fields.report.grown_wall_ml > 20.0, "{:?}", fields.report);
         let free: Vec<f64> = anatomy

@@ -46,7 +46,7 @@ pub(super) fn optimise(mesh: &mut StuffedMesh, level: &LevelSet, lattice: &Latti
 
 fn improve(mesh: &mut StuffedMesh, around: &[usize], vertex: usize, level: &LevelSet, lattice: &Lattice, step_mm: f64) {
     let start = mesh.vertices_mm[vertex];
-    let mut best = worst_around(mesh, around);
+    let Some(mut best) = worst_above(f64::NEG_INFINITY, mesh, around) else { return };
     if best > GOOD_ENOUGH {
         return;
     }
@@ -57,8 +57,7 @@ fn improve(mesh: &mut StuffedMesh, around: &[usize], vertex: usize, level: &Leve
             continue;
         };
         mesh.vertices_mm[vertex] = place;
-        let worst = worst_around(mesh, around);
-        if worst > best {
+        if let Some(worst) = worst_above(best, mesh, around) {
             (best, best_place) = (worst, place);
         }
     }
@@ -85,8 +84,12 @@ fn admissible(
     ((place - trial).norm() < 2.0 * step_mm).then_some(place)
 }
 
-fn worst_around(mesh: &StuffedMesh, around: &[usize]) -> f64 {
-    around.iter().map(|&t| least_dihedral_sine(mesh.tetrahedra[t].map(|v| mesh.vertices_mm[v]))).fold(f64::INFINITY, f64::min)
+/// The worst tetrahedron around a vertex; none, without looking at the others, as soon as one is not better than `bound`.
+fn worst_above(bound: f64, mesh: &StuffedMesh, around: &[usize]) -> Option<f64> {
+    around.iter().try_fold(f64::INFINITY, |worst, &tetrahedron| {
+        let sine = least_dihedral_sine(mesh.tetrahedra[tetrahedron].map(|vertex| mesh.vertices_mm[vertex]));
+        (sine > bound).then(|| worst.min(sine))
+    })
 }
 
 /// The least sine of the six dihedral angles, $\sin\theta_{ij} = \frac{3 V l_{ij}}{2 A_k A_l}$; negative if inverted. Small for angles near 0° and near
