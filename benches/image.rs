@@ -90,7 +90,7 @@ fn rasterising_and_meshing(criterion: &mut Criterion<hearts::ProcessorTime>) {
         });
     }
     let grid = ShortAxisStack::default().grid(&anatomy).unwrap();
-    let labels = rasterise(&anatomy, anatomy.mesh.vertices_mm(), &grid, &VoxelSampling::default()).unwrap().to_label_map().unwrap();
+    let labels = rasterise(&anatomy, anatomy.mesh.vertices_mm(), &grid, &VoxelSampling::CENTRES).unwrap().to_label_map().unwrap();
     let mesh = || {
         let fields = heart_fields(&labels, &HeartCodes::left(LABEL_CAVITY_LV, LABEL_WALL), &FieldOptions::default()).unwrap();
         build_from_fields(&fields, &MesherSettings::with_edge_length_mm(3.0), &AnatomySettings::default()).unwrap()

@@ -17,7 +17,7 @@ fn drawn() -> [(&'static str, LabelMap, HeartCodes); 2] {
     let one = hearts::left_ventricle(4.0);
     let labels = |anatomy: &Anatomy| {
         let grid = ShortAxisStack::default().grid(anatomy).unwrap();
-        rasterise(anatomy, anatomy.mesh.vertices_mm(), &grid, &VoxelSampling::default()).unwrap().to_label_map().unwrap()
+        rasterise(anatomy, anatomy.mesh.vertices_mm(), &grid, &VoxelSampling::CENTRES).unwrap().to_label_map().unwrap()
     };
     let left = HeartCodes::left(LABEL_CAVITY_LV, LABEL_WALL);
     [("one ventricle", labels(&one), left), ("two ventricles", labels(&two), HeartCodes { cavity_rv: Some(LABEL_CAVITY_RV), ..left })]

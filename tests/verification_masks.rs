@@ -35,11 +35,11 @@ fn biventricle() -> &'static Anatomy {
     ANATOMY.get_or_init(|| heart.build(&MesherSettings::with_edge_length_mm(5.0), &AnatomySettings::default()).unwrap())
 }
 
-/// Every voxel by what fills most of it.
+/// Every voxel by what lies at its centre.
 fn drawn(anatomy: &Anatomy, voxel_mm: f64, slice_mm: f64) -> LabelMap {
     let stack = ShortAxisStack { voxel_mm, slice_distance_mm: slice_mm, margin_mm: 6.0, end_margin_mm: 12.0 };
     let grid = stack.grid(anatomy).unwrap();
-    rasterise(anatomy, anatomy.mesh.vertices_mm(), &grid, &VoxelSampling::default()).unwrap().to_label_map().unwrap()
+    rasterise(anatomy, anatomy.mesh.vertices_mm(), &grid, &VoxelSampling::CENTRES).unwrap().to_label_map().unwrap()
 }
 
 fn relabelled(labels: &LabelMap, new: impl Fn(&Vector3<f64>, u8) -> u8) -> LabelMap {

@@ -35,6 +35,10 @@ impl Default for VoxelSampling {
 }
 
 impl VoxelSampling {
+    /// What lies at the centre of every voxel: masks, which are drawn on the middle of a slice. The largest share of a voxel would favour blood over a
+    /// thin wall, and over half of a slice whose surfaces slant.
+    pub const CENTRES: Self = Self { samples_per_voxel: [1, 1, 1], thickness_share: 1.0 };
+
     pub(super) fn check(&self, grid: &Grid) -> Result<(), PhantomError> {
         within("the slice thickness relative to the slice distance", self.thickness_share, [1e-6, 100.0], "lie between 1e-6 and 100")?;
         let samples: usize = self.samples_per_voxel.iter().product();

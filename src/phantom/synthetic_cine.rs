@@ -75,7 +75,7 @@ impl Default for SyntheticCineSettings {
 pub struct SyntheticCine {
     /// The images.
     pub cine: CineSequence,
-    /// The truth in every voxel, one map a frame, displaced as the slices are: codes of [`super::TissueShares::to_label_map`].
+    /// The tissue at the centre of every voxel, one map a frame, displaced as the slices are: codes of [`super::TissueShares::to_label_map`].
     pub labels: Vec<LabelMap>,
     /// True volume of each cavity (left first) in every frame, mL, from the mesh.
     pub volumes_ml: Vec<Vec<f64>>,
@@ -107,7 +107,7 @@ pub fn synthetic_cine(
     for positions in frames_mm {
         let shares = rasterise_displaced(anatomy, positions, grid, sampling, shifts_mm)?;
         voxel_volumes_ml.push((0..anatomy.cavities.len()).map(|cavity| ml_from_mm3(shares.cavity_volume_mm3(cavity))).collect());
-        labels.push(shares.to_label_map()?);
+        labels.push(rasterise_displaced(anatomy, positions, grid, &VoxelSampling::CENTRES, shifts_mm)?.to_label_map()?);
     }
     let volumes = |positions: &Vec<Vector3<f64>>| {
         anatomy.cavities.iter().map(|(_, cavity)| ml_from_mm3(cavity.volume_mm3(positions))).collect::<Vec<f64>>()

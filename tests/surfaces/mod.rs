@@ -12,7 +12,7 @@ struct Facet {
 }
 
 /// Distances (mm) of a surface's vertices, those for which `counts` holds, from the same surface of another mesh.
-pub fn distances_mm(from: &Anatomy, to: &Anatomy, tag: SurfaceTag, counts: impl Fn(&Vector3<f64>) -> bool) -> Vec<f64> {
+pub(crate) fn distances_mm(from: &Anatomy, to: &Anatomy, tag: SurfaceTag, counts: impl Fn(&Vector3<f64>) -> bool) -> Vec<f64> {
     let facet = |triangle: [usize; 3]| {
         let corners_mm = triangle.map(|v| to.mesh.vertices_mm()[v]);
         let centre_mm = corners_mm.iter().sum::<Vector3<f64>>() / 3.0;
