@@ -20,6 +20,19 @@ pub struct AtrialPressure {
     period_s: f64,
 }
 
+/// How fast the constants of an [`AtrialPressure`] change with something, in units of the constants per unit of that.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct AtrialPressureRate {
+    /// dp₀.
+    pub baseline_kpa: f64,
+    /// dΔp.
+    pub kick_kpa: f64,
+    /// dt_e.
+    pub kick_end_s: f64,
+    /// dT.
+    pub kick_duration_s: f64,
+}
+
 impl AtrialPressure {
     /// An atrium with its baseline p₀ and kick Δp in kPa; the kick of length T ends at `kick_end_s`, modulo the period.
     /// A kick longer than the period is cut to the period.
@@ -47,11 +60,43 @@ impl AtrialPressure {
         }
         self.baseline_kpa + self.kick_kpa * (PI * since_start_s / self.kick_duration_s).sin().powi(2)
     }
+
+    /// The derivative of the pressure at a time where the constants change at the given rates, kPa; it exists everywhere, for the kick
+    /// begins and ends level.
+    pub fn pressure_rate_kpa(&self, rate: &AtrialPressureRate, time_s: f64) -> f64 {
+        let since_start_s = (time_s - self.kick_end_s + self.kick_duration_s).rem_euclid(self.period_s);
+        if since_start_s >= self.kick_duration_s {
+            return rate.baseline_kpa;
+        }
+        let share = since_start_s / self.kick_duration_s;
+        let share_rate = (rate.kick_duration_s - rate.kick_end_s - share * rate.kick_duration_s) / self.kick_duration_s;
+        let (sine, cosine) = (PI * share).sin_cos();
+        rate.baseline_kpa + rate.kick_kpa * sine * sine + self.kick_kpa * 2.0 * PI * sine * cosine * share_rate
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::numerics::TaylorTest;
+    use nalgebra::DVector;
+
+    /// At times before, within and after the kick, and two heart periods later.
+    #[test]
+    fn the_rate_of_the_pressure_passes_the_taylor_test() {
+        let times_s = [-0.11, -0.07, -0.03, 0.01, 0.3, 1.57];
+        let pressures = |x: &DVector<f64>| {
+            let atrium = AtrialPressure::new(x[0], x[1], x[2], x[3], 0.8)?;
+            Ok::<_, CirculationError>(DVector::from_iterator(6, times_s.map(|t| atrium.pressure_kpa(t))))
+        };
+        let base = DVector::from_vec(vec![1.0, 0.5, 0.02, 0.12]);
+        let d = DVector::from_vec(vec![0.3, -0.2, 0.02, 0.05]);
+        let atrium = AtrialPressure::new(base[0], base[1], base[2], base[3], 0.8).unwrap();
+        let rate = AtrialPressureRate { baseline_kpa: d[0], kick_kpa: d[1], kick_end_s: d[2], kick_duration_s: d[3] };
+        let slope = DVector::from_iterator(6, times_s.map(|t| atrium.pressure_rate_kpa(&rate, t)));
+        let order = TaylorTest::run(pressures, &base, &d, &slope, 0.1, 6).unwrap().order();
+        assert!((order - 2.0).abs() < 0.1, "order {order}");
+    }
 
     #[test]
     fn the_kick_ends_when_told_and_repeats_each_period() {

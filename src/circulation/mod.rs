@@ -3,11 +3,13 @@
 mod atrium;
 mod error;
 mod phase;
+mod valve_rates;
 mod valves;
 mod windkessel;
 
-pub use atrium::AtrialPressure;
+pub use atrium::{AtrialPressure, AtrialPressureRate};
 pub use error::CirculationError;
 pub use phase::Phase;
+pub use valve_rates::{PortRates, ValveRates, VentricleFlowRate};
 pub use valves::{CavityResponse, OpenValves, ValveProblem, VentricleFlow, VentriclePorts};
-pub use windkessel::{ArterialResponse, Windkessel};
+pub use windkessel::{ArterialResponse, Windkessel, WindkesselRate};

@@ -72,11 +72,11 @@ impl OpenValves {
     /// In order of preference where rounding alone decides: an open inflow valve without flow is filling.
     const ALL: [Self; 4] = [Self::Inflow, Self::Neither, Self::Outflow, Self::Both];
 
-    fn has_inflow(self) -> bool {
+    pub(super) fn has_inflow(self) -> bool {
         matches!(self, Self::Inflow | Self::Both)
     }
 
-    fn has_outflow(self) -> bool {
+    pub(super) fn has_outflow(self) -> bool {
         matches!(self, Self::Outflow | Self::Both)
     }
 }

@@ -23,6 +23,19 @@ pub struct ArterialResponse {
     pub impedance_kpa_s_per_ml: f64,
 }
 
+/// How fast the constants of a [`Windkessel`] change with something, in units of the constants per unit of that.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct WindkesselRate {
+    /// dR.
+    pub resistance_kpa_s_per_ml: f64,
+    /// dZ.
+    pub impedance_kpa_s_per_ml: f64,
+    /// dC.
+    pub compliance_ml_per_kpa: f64,
+    /// dp_v.
+    pub venous_pressure_kpa: f64,
+}
+
 impl Windkessel {
     /// Arteries with R and Z in kPa·s/mL, C in mL/kPa and the pressure p_v behind R in kPa.
     ///
@@ -68,6 +81,45 @@ impl Windkessel {
         }
     }
 
+    /// The derivative of [`Windkessel::advance_kpa`] where the constants, p_C and q change at the given rates, kPa.
+    pub fn advance_rate_kpa(
+        &self,
+        rate: &WindkesselRate,
+        (capacitor_pressure_kpa, capacitor_rate_kpa): (f64, f64),
+        (flow_ml_per_s, flow_rate_ml_per_s): (f64, f64),
+        step_s: f64,
+    ) -> f64 {
+        let target_kpa = self.venous_pressure_kpa + self.resistance_kpa_s_per_ml * flow_ml_per_s;
+        let target_rate_kpa =
+            rate.venous_pressure_kpa + rate.resistance_kpa_s_per_ml * flow_ml_per_s + self.resistance_kpa_s_per_ml * flow_rate_ml_per_s;
+        capacitor_rate_kpa
+            + (target_rate_kpa - capacitor_rate_kpa) * self.filled_fraction(step_s)
+            + (target_kpa - capacitor_pressure_kpa) * self.filled_fraction_rate(rate, step_s)
+    }
+
+    /// The derivative of [`Windkessel::arterial_pressure_kpa`] likewise, kPa.
+    pub fn arterial_pressure_rate_kpa(&self, rate: &WindkesselRate, capacitor_rate_kpa: f64, flow: (f64, f64)) -> f64 {
+        capacitor_rate_kpa + rate.impedance_kpa_s_per_ml * flow.0 + self.impedance_kpa_s_per_ml * flow.1
+    }
+
+    /// The derivative of [`Windkessel::response`] likewise: da and db.
+    pub fn response_rate(&self, rate: &WindkesselRate, capacitor: (f64, f64), step_s: f64) -> ArterialResponse {
+        ArterialResponse {
+            pressure_kpa: self.advance_rate_kpa(rate, capacitor, (0.0, 0.0), step_s),
+            impedance_kpa_s_per_ml: rate.impedance_kpa_s_per_ml
+                + rate.resistance_kpa_s_per_ml * self.filled_fraction(step_s)
+                + self.resistance_kpa_s_per_ml * self.filled_fraction_rate(rate, step_s),
+        }
+    }
+
+    /// $-e^{-h/RC}\,h\,(dR/R + dC/C)/RC$.
+    fn filled_fraction_rate(&self, rate: &WindkesselRate, step_s: f64) -> f64 {
+        let share = step_s / (self.resistance_kpa_s_per_ml * self.compliance_ml_per_kpa);
+        let relative =
+            rate.resistance_kpa_s_per_ml / self.resistance_kpa_s_per_ml + rate.compliance_ml_per_kpa / self.compliance_ml_per_kpa;
+        -(-share).exp() * share * relative
+    }
+
     /// 1 − e^{−h/RC}, without cancellation for short steps.
     fn filled_fraction(&self, step_s: f64) -> f64 {
         -(-step_s / (self.resistance_kpa_s_per_ml * self.compliance_ml_per_kpa)).exp_m1()
@@ -77,6 +129,8 @@ impl Windkessel {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::numerics::TaylorTest;
+    use nalgebra::DVector;
     use std::f64::consts::PI;
 
     fn aorta() -> Windkessel {
@@ -131,6 +185,38 @@ mod tests {
         let order = (error(30) / error(60)).log2();
         assert!((order - 2.0).abs() < 0.05, "order {order}");
         assert!(error(300) < 1e-6, "{}", error(300));
+    }
+
+    /// All constants, p_C and q change at once; the remainder is of second order.
+    #[test]
+    fn the_rates_of_the_arteries_pass_the_taylor_test() {
+        let step_s = 0.01;
+        let outputs = |x: &DVector<f64>| {
+            let arteries = Windkessel::new(x[0], x[1], x[2], x[3])?;
+            let (capacitor, response) = (arteries.advance_kpa(x[4], x[5], step_s), arteries.response(x[4], step_s));
+            let arterial = arteries.arterial_pressure_kpa(capacitor, x[5]);
+            Ok::<_, CirculationError>(DVector::from_vec(vec![
+                capacitor,
+                arterial,
+                response.pressure_kpa,
+                response.impedance_kpa_s_per_ml * 1e3,
+            ]))
+        };
+        let base = DVector::from_vec(vec![0.13, 0.008, 2.0, 0.7, 9.0, 310.0]);
+        let d = DVector::from_vec(vec![0.02, 0.003, -0.5, 0.2, 0.4, 30.0]);
+        let arteries = Windkessel::new(base[0], base[1], base[2], base[3]).unwrap();
+        let rate = WindkesselRate {
+            resistance_kpa_s_per_ml: d[0],
+            impedance_kpa_s_per_ml: d[1],
+            compliance_ml_per_kpa: d[2],
+            venous_pressure_kpa: d[3],
+        };
+        let capacitor = arteries.advance_rate_kpa(&rate, (base[4], d[4]), (base[5], d[5]), step_s);
+        let arterial = arteries.arterial_pressure_rate_kpa(&rate, capacitor, (base[5], d[5]));
+        let response = arteries.response_rate(&rate, (base[4], d[4]), step_s);
+        let slope = DVector::from_vec(vec![capacitor, arterial, response.pressure_kpa, response.impedance_kpa_s_per_ml * 1e3]);
+        let order = TaylorTest::run(outputs, &base, &d, &slope, 0.1, 6).unwrap().order();
+        assert!((order - 2.0).abs() < 0.1, "order {order}");
     }
 
     #[test]

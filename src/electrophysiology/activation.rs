@@ -140,18 +140,51 @@ impl ActivationMap {
     /// $\dot t_d = \sum_i w_i\,\dot t_{d,i} - t_\mathrm{travel}\,\dot{\ln v}$ exactly, wherever td is differentiable at all (it has a kink
     /// where two fronts arrive together). Rates that are missing count as zero.
     pub fn tangent_s(&self, log_speed_rate: &[f64], onset_rate_s: &[f64]) -> Vec<f64> {
-        tangent_s(self, log_speed_rate, onset_rate_s, &|_| 0.0)
+        tangent_s(self, &|_, stencil| slowing_s(stencil, log_speed_rate), onset_rate_s, &|_| 0.0)
+    }
+
+    /// Derivative of td (s, one a vertex) by the anisotropy ratio ρ of the conduction that the map was solved with, from these onsets on
+    /// this mesh. Exact and with kinks as [`ActivationMap::tangent_s`]: along a straight offset e the travel time T has
+    /// $\partial T/\partial\rho = -(|e|^2 - (f \cdot e)^2)/(2 \rho^2 v^2 T)$.
+    pub fn anisotropy_tangent_s(&self, mesh: &TetMesh, conduction: &Conduction, onsets: &[Onset]) -> Vec<f64> {
+        let at = |vertex: usize| mesh.vertices_mm().get(vertex).copied().unwrap_or_default();
+        let travel_rate_s = |vertex: usize, stencil: &Stencil| match stencil {
+            Stencil::Onset { .. } | Stencil::Recovery => 0.0,
+            Stencil::Ray { onset, legs } => {
+                let offset_mm = at(vertex) - onsets.get(*onset).map_or_else(Vector3::zeros, |onset| at(onset.vertex));
+                legs.iter().map(|leg| leg.travel_s * conduction.log_time_by_anisotropy(leg.tetrahedron, &offset_mm)).sum()
+            }
+            Stencil::Arrival { tetrahedron, vertices, weights, travel_s } => {
+                let from_mm: Vector3<f64> = vertices.iter().zip(weights).map(|(&vertex, weight)| at(vertex) * *weight).sum();
+                travel_s * conduction.log_time_by_anisotropy(*tetrahedron, &(at(vertex) - from_mm))
+            }
+        };
+        tangent_s(self, &travel_rate_s, &[], &|_| 0.0)
     }
 }
 
-/// [`ActivationMap::tangent_s`] where vertices recover at times that change at the rate `recovery_rate_s`.
+/// How the time from a stencil's vertices to its own changes with the logarithms of the speeds, s.
+pub(super) fn slowing_s(stencil: &Stencil, log_speed_rate: &[f64]) -> f64 {
+    match stencil {
+        Stencil::Onset { .. } | Stencil::Recovery => 0.0,
+        Stencil::Ray { legs, .. } => -legs.iter().map(|leg| leg.travel_s * entry(log_speed_rate, leg.tetrahedron)).sum::<f64>(),
+        Stencil::Arrival { tetrahedron, travel_s, .. } => -travel_s * entry(log_speed_rate, *tetrahedron),
+    }
+}
+
+/// Rates that are missing count as zero.
+fn entry(rates: &[f64], index: usize) -> f64 {
+    rates.get(index).copied().unwrap_or(0.0)
+}
+
+/// [`ActivationMap::tangent_s`] where the time from a stencil's vertices to its own changes at the rate `travel_rate_s`, and vertices
+/// recover at times that change at the rate `recovery_rate_s`.
 pub(super) fn tangent_s(
     map: &ActivationMap,
-    log_speed_rate: &[f64],
+    travel_rate_s: &dyn Fn(usize, &Stencil) -> f64,
     onset_rate_s: &[f64],
     recovery_rate_s: &dyn Fn(usize) -> f64,
 ) -> Vec<f64> {
-    let rate = |rates: &[f64], entry: usize| rates.get(entry).copied().unwrap_or(0.0);
     let mut order: Vec<usize> = (0..map.times_s.len()).collect();
     order.sort_unstable_by(|&a, &b| map.times_s[a].total_cmp(&map.times_s[b]));
     let mut tangent_s = vec![0.0_f64; map.times_s.len()];
@@ -159,18 +192,13 @@ pub(super) fn tangent_s(
     for _ in 0..TANGENT_SWEEP_LIMIT {
         let (mut change_s, mut largest_s) = (0.0_f64, 0.0_f64);
         for &vertex in &order {
-            let value_s = match &map.stencils[vertex] {
-                Stencil::Onset { onset } => rate(onset_rate_s, *onset),
+            let stencil = &map.stencils[vertex];
+            let start_s = match stencil {
+                Stencil::Onset { onset } | Stencil::Ray { onset, .. } => entry(onset_rate_s, *onset),
                 Stencil::Recovery => recovery_rate_s(vertex),
-                Stencil::Ray { onset, legs } => {
-                    let slowing_s: f64 = legs.iter().map(|leg| leg.travel_s * rate(log_speed_rate, leg.tetrahedron)).sum();
-                    rate(onset_rate_s, *onset) - slowing_s
-                }
-                Stencil::Arrival { tetrahedron, vertices, weights, travel_s } => {
-                    let carried_s: f64 = vertices.iter().zip(weights).map(|(&v, w)| w * tangent_s[v]).sum();
-                    carried_s - travel_s * rate(log_speed_rate, *tetrahedron)
-                }
+                Stencil::Arrival { vertices, weights, .. } => vertices.iter().zip(weights).map(|(&v, w)| w * tangent_s[v]).sum(),
             };
+            let value_s = start_s + travel_rate_s(vertex, stencil);
             change_s = change_s.max((value_s - tangent_s[vertex]).abs());
             largest_s = largest_s.max(value_s.abs());
             tangent_s[vertex] = value_s;

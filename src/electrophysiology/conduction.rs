@@ -59,6 +59,16 @@ impl Conduction {
         self.metric(tetrahedron).squared_s2(offset_mm).sqrt()
     }
 
+    /// d ln T/dρ of the travel time T along a straight `offset_mm` inside a tetrahedron.
+    pub(super) fn log_time_by_anisotropy(&self, tetrahedron: usize, offset_mm: &Vector3<f64>) -> f64 {
+        let squared_s2 = self.metric(tetrahedron).squared_s2(offset_mm);
+        if squared_s2 <= 0.0 {
+            return 0.0;
+        }
+        let across_mm2 = offset_mm.norm_squared() - self.fibres[tetrahedron].dot(offset_mm).powi(2);
+        -across_mm2 / (2.0 * (self.anisotropy_ratio * self.speed_mm_per_s[tetrahedron]).powi(2) * squared_s2)
+    }
+
     /// The metric of travel times in a tetrahedron.
     pub(super) fn metric(&self, tetrahedron: usize) -> Metric<'_> {
         let squared_slowness = self.speed_mm_per_s[tetrahedron].powi(2).recip();

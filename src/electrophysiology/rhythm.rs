@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 
-use super::activation::{check, tangent_s};
+use super::activation::{check, slowing_s, tangent_s};
 use super::march::March;
 use super::{ActivationError, ActivationMap, ActivationSettings, Conduction, Onset};
 use crate::mesh::TetMesh;
@@ -105,7 +105,7 @@ impl Rhythm {
                 let last_s = tangents.last().map_or(0.0, |last| last[vertex]);
                 last_s + refractory_rate_s.get(vertex).copied().unwrap_or(0.0)
             };
-            let tangent = tangent_s(beat, log_speed_rate, stimulus_rate_s, &recovery_rate_s);
+            let tangent = tangent_s(beat, &|_, stencil| slowing_s(stencil, log_speed_rate), stimulus_rate_s, &recovery_rate_s);
             tangents.push(tangent);
         }
         tangents

@@ -41,6 +41,21 @@ pub enum HeartError {
     BaseMotion { reason: String },
 }
 
+/// A simulation whose tangents could not be taken along.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
+pub enum TangentError {
+    /// The simulation itself failed.
+    #[error(transparent)]
+    Step(#[from] StepError),
+    /// A heart beside this one could not be put together.
+    #[error("tangent: {0}")]
+    Heart(#[from] HeartError),
+    /// The trajectory has no derivative by this, or none that is known.
+    #[error("no tangent for {parameter}: {reason}; use finite differences")]
+    NoTangent { parameter: &'static str, reason: &'static str },
+}
+
 /// A step that could not be completed, with when, how far it came, and why.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages name the fields")]

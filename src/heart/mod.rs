@@ -5,6 +5,7 @@ mod base_motion;
 mod beat_deformation;
 #[cfg(test)]
 mod beat_tests;
+mod contraction;
 #[cfg(test)]
 mod corotational_tests;
 mod deformation;
@@ -27,6 +28,7 @@ mod simulate;
 mod state;
 mod step;
 mod substeps;
+mod tangent;
 #[cfg(test)]
 mod two_ventricle_tests;
 
@@ -35,7 +37,7 @@ pub use base_motion::BaseMotion;
 pub use beat_deformation::{BeatDeformation, PeakStrain};
 pub use deformation::{Deformation, SegmentDeformation, Strain};
 pub use each_beat::EachBeat;
-pub use error::{HeartError, StepError};
+pub use error::{HeartError, StepError, TangentError};
 pub use model::{HeartModel, ModelSettings, PressureLoad};
 pub use observables::BeatObservables;
 pub use onset::OnsetSites;
@@ -47,3 +49,4 @@ pub use rhythm::{Depolarisation, ExtraStimulus, HeartRhythm};
 pub use simulate::{FrameState, SimulationPlan, Trajectory, simulate, simulate_from};
 pub use state::{CurveRow, HeartState, VentricleCurve, VentricleState};
 pub use step::{StepOutcome, StepWorkspace};
+pub use tangent::simulate_with_tangents;

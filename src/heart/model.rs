@@ -4,9 +4,10 @@ use std::sync::Arc;
 
 use nalgebra::Vector3;
 
+use super::contraction::Contraction;
 use super::onset::OnsetSites;
 use super::{BaseMotion, ExtraStimulus, HeartError, HeartRhythm, HeartState, Parameter, Parameters, VentricleState};
-use crate::anatomy::{Anatomy, Region, Ventricle};
+use crate::anatomy::{Anatomy, Ventricle};
 use crate::circulation::{AtrialPressure, Phase, Windkessel};
 use crate::electrophysiology::ActivationMap;
 use crate::mechanics::{ContractionLaw, Kinematics, MotionState, Myocardium, PassiveProperties, StepOperator, StepSettings, TimeScheme};
@@ -72,15 +73,6 @@ pub struct HeartModel {
     pub(super) ventricles: Vec<VentricleModel>,
 }
 
-/// The active stress of every tetrahedron.
-#[derive(Debug, Clone)]
-pub(super) struct Contraction {
-    /// The law of \[Billet2009\] eq. 1 with σ0 = 1 kPa, a vertex.
-    laws: Vec<ContractionLaw>,
-    /// σ0 a tetrahedron, kPa.
-    peak_kpa: Vec<f64>,
-}
-
 /// What a ventricle is connected to.
 #[derive(Debug, Clone)]
 pub(super) struct VentricleModel {
@@ -97,7 +89,7 @@ pub(super) struct VentricleModel {
 const ELECTRICAL: [Parameter; 4] =
     [Parameter::ConductionVelocity, Parameter::AnisotropyRatio, Parameter::EndocardialSpeedFactor, Parameter::OnsetTime];
 
-const PASSIVE: [Parameter; 14] = [
+pub(super) const PASSIVE: [Parameter; 14] = [
     Parameter::FibreStiffness,
     Parameter::TransverseStiffness,
     Parameter::PoissonRatio,
@@ -223,33 +215,6 @@ impl HeartModel {
     }
 }
 
-impl Contraction {
-    /// The fibrous ring of the valves does not contract.
-    fn new(anatomy: &Anatomy, tissue: &Myocardium, parameters: &Parameters) -> Result<Self, HeartError> {
-        let at_vertices = |parameter| parameters.on_vertices(parameter, anatomy);
-        let [contraction, relaxation, duration] =
-            [Parameter::ContractionRate, Parameter::RelaxationRate, Parameter::ActionPotentialDuration].map(at_vertices);
-        let law = |vertex: usize| ContractionLaw {
-            peak_kpa: 1.0,
-            contraction_rate_per_s: contraction[vertex],
-            relaxation_rate_per_s: relaxation[vertex],
-            action_potential_duration_s: duration[vertex],
-            period_s: parameters[Parameter::HeartPeriod],
-        };
-        let laws: Vec<_> = (0..anatomy.mesh.vertex_count()).map(law).collect();
-        laws.iter().try_for_each(ContractionLaw::check)?;
-        let peak_lv_kpa = parameters.on_tetrahedra(Parameter::ContractionPeakLv, anatomy);
-        let peak = |(region, lv_kpa): (&Region, f64)| match region {
-            Region::FreeWallLv | Region::Septum => lv_kpa,
-            Region::FreeWallRv => parameters[Parameter::ContractionPeakRv],
-            Region::Scar => parameters[Parameter::ContractionPeakScar],
-        };
-        let peak_kpa = anatomy.regions.iter().zip(peak_lv_kpa).map(peak).zip(tissue.muscle_shares()).map(|(peak, share)| peak * share);
-        let peak_kpa = peak_kpa.collect();
-        Ok(Self { laws, peak_kpa })
-    }
-}
-
 impl VentricleModel {
     fn new(anatomy: &Anatomy, ventricle: Ventricle, parameters: &Parameters) -> Result<Self, HeartError> {
         let (mut rest_volume_mm3, mut gradient) = (0.0, vec![Vector3::zeros(); anatomy.mesh.vertex_count()]);
@@ -274,10 +239,10 @@ impl VentricleModel {
     }
 }
 
-/// Artery, atrium and initial p_C of a ventricle. The atrial kick ends when the ventricles have begun to rise.
-fn circulation(ventricle: Ventricle, parameters: &Parameters) -> Result<(Windkessel, AtrialPressure, f64), HeartError> {
+/// R, Z, C, p_v and initial p_C of a ventricle's artery, p₀ and Δp of its atrium.
+pub(super) fn circulation_of(ventricle: Ventricle) -> [Parameter; 7] {
     use Parameter as P;
-    let [resistance, impedance, compliance, venous, initial, atrial, kick] = match ventricle {
+    match ventricle {
         Ventricle::Left => [
             P::ResistanceSystemic,
             P::ImpedanceSystemic,
@@ -297,7 +262,13 @@ fn circulation(ventricle: Ventricle, parameters: &Parameters) -> Result<(Windkes
             P::AtrialKickRight,
         ],
     }
-    .map(|parameter| parameters[parameter]);
+}
+
+/// Artery, atrium and initial p_C of a ventricle. The atrial kick ends when the ventricles have begun to rise.
+fn circulation(ventricle: Ventricle, parameters: &Parameters) -> Result<(Windkessel, AtrialPressure, f64), HeartError> {
+    use Parameter as P;
+    let [resistance, impedance, compliance, venous, initial, atrial, kick] =
+        circulation_of(ventricle).map(|parameter| parameters[parameter]);
     let artery = Windkessel::new(resistance, impedance, compliance, venous)?;
     let kick_end_s = parameters[P::OnsetTime] + parameters[P::AtrialKickOverlap];
     let (duration_s, period_s) = (parameters[P::AtrialKickDuration], parameters[P::HeartPeriod]);
@@ -311,7 +282,18 @@ fn step_operator(
     parameters: &Parameters,
     settings: &ModelSettings,
 ) -> Result<StepOperator, HeartError> {
-    let passive = PassiveProperties {
+    let passive = passive_properties(parameters);
+    let Anatomy { mesh, surface, fibre_axes, .. } = anatomy;
+    let myocardium = match same_mesh {
+        Some(tissue) => tissue.with_properties(mesh, surface, fibre_axes, &passive)?,
+        None => Myocardium::new(mesh, surface, fibre_axes, &passive)?,
+    };
+    let &ModelSettings { step_s, time_scheme, kinematics, .. } = settings;
+    Ok(StepOperator::with_settings(Arc::new(myocardium), StepSettings { step_s, scheme: time_scheme, kinematics })?)
+}
+
+pub(super) fn passive_properties(parameters: &Parameters) -> PassiveProperties {
+    PassiveProperties {
         fibre_stiffness_kpa: parameters[Parameter::FibreStiffness],
         transverse_stiffness_kpa: parameters[Parameter::TransverseStiffness],
         poisson_ratio: parameters[Parameter::PoissonRatio],
@@ -326,14 +308,7 @@ fn step_operator(
         pericardium_base_share: parameters[Parameter::PericardiumBaseShare],
         valve_ring_height_mm: parameters[Parameter::ValveRingHeight],
         valve_ring_stiffness_kpa: parameters[Parameter::ValveRingStiffness],
-    };
-    let Anatomy { mesh, surface, fibre_axes, .. } = anatomy;
-    let myocardium = match same_mesh {
-        Some(tissue) => tissue.with_properties(mesh, surface, fibre_axes, &passive)?,
-        None => Myocardium::new(mesh, surface, fibre_axes, &passive)?,
-    };
-    let &ModelSettings { step_s, time_scheme, kinematics, .. } = settings;
-    Ok(StepOperator::with_settings(Arc::new(myocardium), StepSettings { step_s, scheme: time_scheme, kinematics })?)
+    }
 }
 
 fn check_anatomy(anatomy: &Anatomy) -> Result<(), HeartError> {

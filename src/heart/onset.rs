@@ -134,22 +134,26 @@ impl WallPatch {
     }
 }
 
-/// Speed v along the fibre of every tetrahedron, `endocardial_speed_factor` times faster in those with a face on an endocardium: the
-/// thin layer of the Purkinje network.
+/// Speed v along the fibre of every tetrahedron, `endocardial_speed_factor` times faster in the endocardial layer.
 pub(super) fn conduction(anatomy: &Anatomy, parameters: &Parameters) -> Result<Conduction, HeartError> {
+    let factor = parameters[Parameter::EndocardialSpeedFactor];
+    let bulk = parameters.on_tetrahedra(Parameter::ConductionVelocity, anatomy);
+    let speed = |(is_layer, bulk): (bool, f64)| if is_layer { bulk * factor } else { bulk };
+    let speeds = endocardial_layer(anatomy).into_iter().zip(bulk).map(speed).collect();
+    let fibres = anatomy.fibre_axes.iter().map(|axes| axes.column(0).into_owned()).collect();
+    Ok(Conduction::new(speeds, parameters[Parameter::AnisotropyRatio], fibres)?)
+}
+
+/// Tetrahedra with a face on an endocardium: the thin layer of the Purkinje network.
+pub(super) fn endocardial_layer(anatomy: &Anatomy) -> Vec<bool> {
     let mut touches = vec![false; anatomy.mesh.vertex_count()];
     for &(ventricle, _) in &anatomy.cavities {
         for vertex in anatomy.surface.vertices_with(ventricle.endocardium()) {
             touches[vertex] = true;
         }
     }
-    let factor = parameters[Parameter::EndocardialSpeedFactor];
-    let bulk = parameters.on_tetrahedra(Parameter::ConductionVelocity, anatomy);
     let has_face = |corners: &[usize; 4]| corners.iter().filter(|&&vertex| touches[vertex]).count() >= 3;
-    let speed = |(corners, bulk): (&[usize; 4], f64)| if has_face(corners) { bulk * factor } else { bulk };
-    let speeds = anatomy.mesh.tetrahedra().iter().zip(bulk).map(speed).collect();
-    let fibres = anatomy.fibre_axes.iter().map(|axes| axes.column(0).into_owned()).collect();
-    Ok(Conduction::new(speeds, parameters[Parameter::AnisotropyRatio], fibres)?)
+    anatomy.mesh.tetrahedra().iter().map(has_face).collect()
 }
 
 #[cfg(test)]

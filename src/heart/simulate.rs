@@ -72,30 +72,66 @@ pub fn simulate_from(
     loads: &[&dyn StepLoad],
     observer: &mut dyn FnMut(&HeartState, &CurveRow) -> ControlFlow<()>,
 ) -> Result<Trajectory, StepError> {
-    let step_s = model.settings().step_s;
-    let step_count = ((plan.end_time_s - start.time_s) / step_s - 1e-9).ceil().max(0.0) as usize;
     let mut workspace = model.workspace();
-    let first_frame_s = start.time_s - 1e-9 * step_s;
-    let mut frame_times = plan.frame_times_s.iter().copied().filter(|&t| t >= first_frame_s).peekable();
-    let mut trajectory =
-        Trajectory { curves: Vec::with_capacity(step_count + 1), frames: Vec::new(), divided_step_count: 0, last: start, stopped: false };
-    trajectory.curves.push(trajectory.last.curve_row());
-    trajectory.stopped = observer(&trajectory.last, &trajectory.curves[0]).is_break();
+    let step_count = step_count(&start, plan, model.settings().step_s);
+    let mut recording = Recording::new(start, plan, model.settings().step_s);
+    let mut is_stopped = recording.show(observer);
     for _ in 0..step_count {
-        if trajectory.stopped {
+        if is_stopped {
             break;
         }
-        let StepOutcome { state: next, substep_count, .. } = model.step(&trajectory.last, loads, &mut workspace)?;
-        trajectory.divided_step_count += usize::from(substep_count > 1);
-        while let Some(time_s) = frame_times.next_if(|&t| t <= next.time_s + 1e-9 * step_s) {
-            trajectory.frames.push(FrameState::between(&trajectory.last, &next, time_s));
-        }
-        trajectory.last = next;
-        let row = trajectory.last.curve_row();
-        trajectory.curves.push(row);
-        trajectory.stopped = observer(&trajectory.last, &row).is_break();
+        let StepOutcome { state, substep_count, .. } = model.step(recording.last(), loads, &mut workspace)?;
+        recording.add(state, substep_count);
+        is_stopped = recording.show(observer);
     }
-    Ok(trajectory)
+    Ok(recording.into_trajectory(is_stopped))
+}
+
+/// Steps from a state to the end of a plan.
+pub(super) fn step_count(start: &HeartState, plan: &SimulationPlan, step_s: f64) -> usize {
+    ((plan.end_time_s - start.time_s) / step_s - 1e-9).ceil().max(0.0) as usize
+}
+
+/// A trajectory that grows step by step; its frames are taken while it does.
+pub(super) struct Recording<'a> {
+    trajectory: Trajectory,
+    coming_frames_s: &'a [f64],
+    tolerance_s: f64,
+}
+
+impl<'a> Recording<'a> {
+    pub(super) fn new(start: HeartState, plan: &'a SimulationPlan, step_s: f64) -> Self {
+        let tolerance_s = 1e-9 * step_s;
+        let first = plan.frame_times_s.partition_point(|&t| t < start.time_s - tolerance_s);
+        let curves = vec![start.curve_row()];
+        let trajectory = Trajectory { curves, frames: Vec::new(), divided_step_count: 0, last: start, stopped: false };
+        Self { trajectory, coming_frames_s: &plan.frame_times_s[first..], tolerance_s }
+    }
+
+    pub(super) fn last(&self) -> &HeartState {
+        &self.trajectory.last
+    }
+
+    /// Adds the state at the end of a step that was taken in so many parts.
+    pub(super) fn add(&mut self, next: HeartState, substep_count: usize) {
+        let Self { trajectory, coming_frames_s, tolerance_s } = self;
+        trajectory.divided_step_count += usize::from(substep_count > 1);
+        while let Some((&time_s, later)) = coming_frames_s.split_first().filter(|(time_s, _)| **time_s <= next.time_s + *tolerance_s) {
+            trajectory.frames.push(FrameState::between(&trajectory.last, &next, time_s));
+            *coming_frames_s = later;
+        }
+        trajectory.curves.push(next.curve_row());
+        trajectory.last = next;
+    }
+
+    /// Shows the last state to an observer, and says whether it wants to stop.
+    pub(super) fn show(&self, observer: &mut dyn FnMut(&HeartState, &CurveRow) -> ControlFlow<()>) -> bool {
+        self.trajectory.curves.last().is_some_and(|row| observer(&self.trajectory.last, row).is_break())
+    }
+
+    pub(super) fn into_trajectory(self, stopped: bool) -> Trajectory {
+        Trajectory { stopped, ..self.trajectory }
+    }
 }
 
 impl FrameState {

@@ -32,8 +32,9 @@ const DISTANCE_LIMIT_MM: f64 = 500.0;
 pub struct StepWorkspace {
     pub(super) solver: StepSolver,
     pub(super) system: StepSystem,
-    anchors_mm: Vec<Vector3<f64>>,
-    fraction: Vec<f64>,
+    pub(super) anchors_mm: Vec<Vector3<f64>>,
+    /// σC over σ0 a vertex at the step's end.
+    pub(super) fraction: Vec<f64>,
     stress_kpa: Vec<f64>,
     /// y₀, mm.
     free_mm: Vec<Vector3<f64>>,

@@ -22,6 +22,17 @@ pub struct ContractionLaw {
     pub period_s: f64,
 }
 
+/// How fast what a [`ContractionLaw`] is made of changes with something, but for σ0, which it is proportional to.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ContractionRate {
+    /// dkATP, 1/s.
+    pub contraction_rate_per_s: f64,
+    /// dkRS, 1/s.
+    pub relaxation_rate_per_s: f64,
+    /// dAPD, s.
+    pub action_potential_duration_s: f64,
+}
+
 impl ContractionLaw {
     /// Checks the law.
     ///
@@ -64,11 +75,28 @@ impl ContractionLaw {
         let built_up_kpa = -self.peak_kpa * (-self.contraction_rate_per_s * active_s).exp_m1();
         built_up_kpa * (-self.relaxation_rate_per_s * (since_s - active_s)).exp()
     }
+
+    /// The derivative of [`ContractionLaw::stress_since_kpa`] where the law changes at `rate` and `since_s` at `since_rate` (dtd = −1 for
+    /// later depolarisation), kPa. σC has kinks at td and tr: there it is the derivative of the later side.
+    pub fn stress_since_rate_kpa(&self, rate: &ContractionRate, since_s: f64, since_rate: f64) -> f64 {
+        let is_depolarised = since_s < self.action_potential_duration_s;
+        let (active_s, active_rate) = match is_depolarised {
+            true => (since_s, since_rate),
+            false => (self.action_potential_duration_s, rate.action_potential_duration_s),
+        };
+        let left = (-self.contraction_rate_per_s * active_s).exp();
+        let decay = (-self.relaxation_rate_per_s * (since_s - active_s)).exp();
+        let building = left * (rate.contraction_rate_per_s * active_s + self.contraction_rate_per_s * active_rate);
+        let decaying = rate.relaxation_rate_per_s * (since_s - active_s) + self.relaxation_rate_per_s * (since_rate - active_rate);
+        self.peak_kpa * decay * (building - (1.0 - left) * decaying)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::numerics::TaylorTest;
+    use nalgebra::DVector;
 
     const LAW: ContractionLaw = ContractionLaw {
         peak_kpa: 90.0,
@@ -105,6 +133,26 @@ mod tests {
             let later_kpa = LAW.stress_kpa(time_s + 3.0 * LAW.period_s, 0.1);
             assert!((later_kpa - LAW.stress_kpa(time_s, 0.1)).abs() < 1e-9);
         }
+    }
+
+    /// Depolarised and relaxing, in all that the law is made of at once.
+    #[test]
+    fn the_rate_of_the_stress_passes_the_taylor_test() {
+        let since_s = [0.02, 0.25, 0.32, 0.6];
+        let law = |x: &DVector<f64>| ContractionLaw {
+            contraction_rate_per_s: x[0],
+            relaxation_rate_per_s: x[1],
+            action_potential_duration_s: x[2],
+            ..LAW
+        };
+        let stress =
+            |x: &DVector<f64>| Ok::<_, MechanicsError>(DVector::from_iterator(4, since_s.map(|s| law(x).stress_since_kpa(s + x[3]))));
+        let base = DVector::from_vec(vec![10.0, 25.0, 0.3, 0.0]);
+        let d = DVector::from_vec(vec![2.0, -3.0, 0.03, 0.02]);
+        let rate = ContractionRate { contraction_rate_per_s: d[0], relaxation_rate_per_s: d[1], action_potential_duration_s: d[2] };
+        let slope = DVector::from_iterator(4, since_s.map(|s| LAW.stress_since_rate_kpa(&rate, s, d[3])));
+        let order = TaylorTest::run(stress, &base, &d, &slope, 0.2, 6).unwrap().order();
+        assert!((order - 2.0).abs() < 0.1, "order {order}");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Active and visco-elastic mechanics of the myocardium, \[Billet2009\] §2; every force is a load on one step system.
 
 mod base_distance;
+mod column_solver;
 mod contraction;
 mod corotational;
 mod element;
@@ -8,6 +9,7 @@ mod error;
 mod kinematics;
 mod material;
 mod myocardium;
+mod passive_rate;
 mod scheme;
 mod solver;
 mod springs;
@@ -15,11 +17,13 @@ mod step;
 
 use nalgebra::{Matrix3, Vector3};
 
-pub use contraction::ContractionLaw;
+pub use column_solver::ColumnSolver;
+pub use contraction::{ContractionLaw, ContractionRate};
 pub use error::MechanicsError;
 pub use kinematics::{Kinematics, Linearisation, Tangent};
 pub use material::{PassiveProperties, TransverseIsotropy};
 pub use myocardium::Myocardium;
+pub use passive_rate::PassiveRate;
 pub use scheme::TimeScheme;
 pub use solver::{SolvePath, SolveReport, SolveSettings, StepSolver};
 pub use step::{StepOperator, StepSettings};

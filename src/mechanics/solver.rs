@@ -87,8 +87,8 @@ struct Preconditioner {
 
 /// K̃ + K_img: the operator's own matrix or a tangent, and the blocks that data add to its diagonal.
 #[derive(Clone, Copy)]
-struct StepMatrix<'a> {
-    operator: &'a StepOperator,
+pub(super) struct StepMatrix<'a> {
+    pub(super) operator: &'a StepOperator,
     matrix: &'a BlockMatrix,
     mean_stiffnesses: &'a [MeanStiffness],
     /// Whether its tetrahedra's part is known to be convex.
@@ -96,9 +96,30 @@ struct StepMatrix<'a> {
     stiffness_mn_per_mm: &'a [Matrix3<f64>],
 }
 
-impl StepMatrix<'_> {
+impl<'a> StepMatrix<'a> {
+    /// That of a system: a corotational one must have been linearised.
+    pub(super) fn of_system(operator: &'a StepOperator, system: &'a StepSystem) -> Result<Self, MechanicsError> {
+        let stiffness_mn_per_mm = &system.stiffness_mn_per_mm;
+        check_size("stiffness blocks, one a vertex", operator.myocardium().vertex_count(), stiffness_mn_per_mm.len())?;
+        match &system.tangent {
+            None => Ok(Self { operator, matrix: operator.matrix(), mean_stiffnesses: &[], is_convex: true, stiffness_mn_per_mm }),
+            Some(tangent) if tangent.is_linearised() => Ok(Self {
+                operator,
+                matrix: tangent.matrix(),
+                mean_stiffnesses: tangent.mean_stiffnesses(),
+                is_convex: tangent.is_convex(),
+                stiffness_mn_per_mm,
+            }),
+            Some(_) => Err(MechanicsError::NotLinearised),
+        }
+    }
+
+    pub(super) fn is_symmetric(&self) -> bool {
+        self.stiffness_mn_per_mm.iter().all(is_symmetric)
+    }
+
     /// Whether the operator's factor is that of this matrix.
-    fn is_constant(&self) -> bool {
+    pub(super) fn is_constant(&self) -> bool {
         std::ptr::eq(self.matrix, self.operator.matrix()) && self.stiffness_mn_per_mm.iter().all(|block| *block == Matrix3::zeros())
     }
 
@@ -107,7 +128,7 @@ impl StepMatrix<'_> {
         !std::ptr::eq(self.matrix, self.operator.matrix())
     }
 
-    fn multiply(&self, x: &[Vector3<f64>], product: &mut [Vector3<f64>]) {
+    pub(super) fn multiply(&self, x: &[Vector3<f64>], product: &mut [Vector3<f64>]) {
         self.matrix.multiply(x, product);
         self.mean_stiffnesses.iter().for_each(|stiffness| stiffness.multiply_add(x, product));
         for ((y, block), x) in product.iter_mut().zip(self.stiffness_mn_per_mm).zip(x) {
@@ -149,19 +170,16 @@ impl StepSolver {
         position_mm: &mut [Vector3<f64>],
         responses: &mut [Vec<Vector3<f64>>],
     ) -> Result<SolveReport, MechanicsError> {
-        let stiffness = &system.stiffness_mn_per_mm;
         let count = operator.myocardium().vertex_count();
         if system.tangent.is_some() {
             return Err(MechanicsError::NotLinearised);
         }
         check_size("positions, one a vertex", count, position_mm.len())?;
         check_size("forces, one a vertex", count, system.force_mn.len())?;
-        check_size("stiffness blocks, one a vertex", count, stiffness.len())?;
         check_responses(count, responses)?;
         let mut columns = self.take_columns(responses);
         columns[0].resize(count, Vector3::zeros());
-        let matrix =
-            StepMatrix { operator, matrix: operator.matrix(), mean_stiffnesses: &[], is_convex: true, stiffness_mn_per_mm: stiffness };
+        let matrix = StepMatrix::of_system(operator, system)?;
         // A direct solve has no tolerance that refers to a norm.
         let reference_norm =
             if matrix.is_constant() { 0.0 } else { matrix.subtract(&system.force_mn, operator.myocardium().rest_mm(), &mut columns[0]) };
@@ -213,19 +231,11 @@ impl StepSolver {
         columns: &mut [Vec<Vector3<f64>>],
         relative_tolerance: f64,
     ) -> Result<SolveReport, MechanicsError> {
-        let Some(tangent) = system.tangent.as_ref().filter(|tangent| tangent.is_linearised()) else {
+        if system.tangent.is_none() {
             return Err(MechanicsError::NotLinearised);
-        };
-        let count = operator.myocardium().vertex_count();
-        check_responses(count, columns)?;
-        check_size("stiffness blocks, one a vertex", count, system.stiffness_mn_per_mm.len())?;
-        let matrix = StepMatrix {
-            operator,
-            matrix: tangent.matrix(),
-            mean_stiffnesses: tangent.mean_stiffnesses(),
-            is_convex: tangent.is_convex(),
-            stiffness_mn_per_mm: &system.stiffness_mn_per_mm,
-        };
+        }
+        check_responses(operator.myocardium().vertex_count(), columns)?;
+        let matrix = StepMatrix::of_system(operator, system)?;
         let Some(first) = columns.first() else {
             return Ok(SolveReport { path: SolvePath::Direct, iteration_count: 0, relative_residual: 0.0, was_refactorised: false });
         };
@@ -235,6 +245,15 @@ impl StepSolver {
             preconditioner.served(report.iteration_count);
         }
         Ok(report)
+    }
+
+    /// The factor that iterative solves are preconditioned with, where it is not the operator's own.
+    pub(super) fn preconditioner(&self) -> Option<&CholeskyFactor<f32>> {
+        self.preconditioner.as_ref().and_then(|kept| kept.factor.as_ref())
+    }
+
+    pub(super) fn iteration_limit(&self) -> usize {
+        self.settings.iteration_limit
     }
 
     /// Has the next iterative solve factorise its preconditioner anew.
@@ -273,7 +292,7 @@ impl StepSolver {
         self.reference_norms.extend(columns[first_response..].iter().map(|column| norm(column)));
         let product = |x: &[Vector3<f64>], y: &mut [Vector3<f64>]| matrix.multiply(x, y);
         self.guesses.subtract(&product, &mut columns[first_response..]);
-        let is_symmetric = matrix.stiffness_mn_per_mm.iter().all(is_symmetric);
+        let is_symmetric = matrix.is_symmetric();
         let (path, report) = self.iterate(matrix, &product, is_symmetric, columns, relative_tolerance)?;
         self.guesses.add_and_keep(&mut columns[first_response..]);
         let KrylovReport { iteration_count, relative_residual } = report;
@@ -400,7 +419,7 @@ fn check_responses(count: usize, responses: &[Vec<Vector3<f64>>]) -> Result<(), 
     responses.iter().try_for_each(|response| check_size("responses, one vector a vertex", count, response.len()))
 }
 
-fn norm(field: &[Vector3<f64>]) -> f64 {
+pub(super) fn norm(field: &[Vector3<f64>]) -> f64 {
     field.iter().map(|v| v.norm_squared()).sum::<f64>().sqrt()
 }
 

@@ -171,6 +171,41 @@ impl StepOperator {
         Ok(())
     }
 
+    /// Adds to every force what its motion leaves on the right of a step, the part of [`StepOperator::assemble`] that is linear in the
+    /// motion: for backward Euler $\frac{M}{h^2}(y + h v) + \frac Ch\,y$. In corotational kinematics without the damping of the stretch.
+    /// `damped_mm_per_s` is memory.
+    ///
+    /// # Errors
+    /// [`MechanicsError::FieldSize`] if a field has the wrong number of entries or the numbers of motions and forces differ.
+    pub fn add_history(
+        &self,
+        motions: &[&MotionState],
+        damped_mm_per_s: &mut Vec<Vec<Vector3<f64>>>,
+        forces_mn: &mut [Vec<Vector3<f64>>],
+    ) -> Result<(), MechanicsError> {
+        let count = self.myocardium.vertex_count();
+        check_size("forces, one a motion", motions.len(), forces_mn.len())?;
+        damped_mm_per_s.resize_with(motions.len().max(damped_mm_per_s.len()), Vec::new);
+        for ((motion, damped), force_mn) in motions.iter().zip(damped_mm_per_s.iter_mut()).zip(&mut *forces_mn) {
+            check_size("positions, one a vertex", count, motion.position_mm.len())?;
+            check_size("forces, one a vertex", count, force_mn.len())?;
+            damped.clear();
+            damped.extend((0..count).map(|vertex| self.coefficients.damping_on_the_right(motion, vertex)));
+            for (vertex, (force, mass_kg)) in force_mn.iter_mut().zip(self.myocardium.vertex_mass_kg()).enumerate() {
+                *force += self.coefficients.inertia_on_the_right(motion, vertex) * *mass_kg;
+            }
+        }
+        match &self.damping {
+            Damping::Linear(damping) => damping.multiply_add_columns(&damped_mm_per_s[..motions.len()], forces_mn),
+            Damping::Corotational(damping, _) => {
+                for (damped, force_mn) in damped_mm_per_s.iter().zip(forces_mn) {
+                    force_mn.iter_mut().zip(damping).zip(damped).for_each(|((force, block), damped)| *force += block * damped);
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// Adds the contraction σC, kPa a tetrahedron, to a step's system: as a force in linear kinematics; in corotational ones as a
     /// tension that turns with the fibre, once [`StepOperator::linearise`] is called.
     ///

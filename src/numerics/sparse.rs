@@ -147,6 +147,21 @@ impl BlockMatrix {
         }
     }
 
+    /// $Y \mathrel{+}= A X$ for several columns, each one vector a vertex: one pass over the matrix serves all of them.
+    pub fn multiply_add_columns(&self, x: &[Vec<Vector3<f64>>], y: &mut [Vec<Vector3<f64>>]) {
+        for row in 0..self.pattern.vertex_count() {
+            let range = self.pattern.blocks_of(row);
+            let (blocks, columns) = (&self.blocks[range.clone()], &self.pattern.columns[range]);
+            for (x, y) in x.iter().zip(y.iter_mut()) {
+                let mut sum = Vector3::zeros();
+                for (block, &column) in blocks.iter().zip(columns) {
+                    sum += block * x[column];
+                }
+                y[row] += sum;
+            }
+        }
+    }
+
     fn row_times(&self, row: usize, x: &[Vector3<f64>]) -> Vector3<f64> {
         let range = self.pattern.blocks_of(row);
         let mut sum = Vector3::zeros();

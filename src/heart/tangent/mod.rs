@@ -1,0 +1,64 @@
+//! Tangent-linear derivatives of a whole simulation by many parameters, taken along with it in one pass.
+//!
+//! A step solves $(\tilde K + K_{img})\,Y = F + \sum_k p_k L_k$ with the valves' conditions on the pressures. Where a parameter changes,
+//!
+//! $$(\tilde K + K_{img})\,dY = dF - (d\tilde K + dK_{img})\,Y + \sum_k dp_k\,L_k, \qquad dY = dy_0 + \sum_k dp_k\,W_k,$$
+//!
+//! where dF has what the last step's derivatives leave on the right and what the parameter itself changes. The cavities' volumes change by
+//! $\partial_y V_k(Y) \cdot dY$, and the valves that are open make the dp a system of one or two unknowns
+//! ([`ValveRates`](crate::circulation::ValveRates)). All parameters share the factor: one pass of triangular solves with many columns.
+//!
+//! The derivatives are those of the discrete simulation, exact but for rounding and, in the passive properties, for a central difference of
+//! the assembled matrices (1e-9). They are one-sided where a valve opens or shuts, or a vertex is depolarised or repolarised, just at the
+//! end of a step, and where two fronts meet.
+
+mod rates;
+mod step;
+#[cfg(test)]
+mod tests;
+
+use std::ops::ControlFlow;
+
+use step::TangentColumns;
+
+use super::simulate::{Recording, step_count};
+use super::{CurveRow, HeartModel, HeartState, RegionalParameter, SimulationPlan, StepOutcome, TangentError, Trajectory};
+use crate::mechanics::StepLoad;
+
+/// [`simulate`](super::simulate) with the derivatives of its trajectory by `parameters`, one trajectory each: every number is the
+/// derivative of the one in its place, in its unit per unit of the parameter, but times and phases, which are those of the simulation.
+/// The simulation is bitwise that of [`simulate`](super::simulate), and nothing depends on the number of threads. `observer` sees the
+/// simulation only.
+///
+/// # Errors
+/// [`TangentError::NoTangent`] for a parameter or a model without tangent, else as [`simulate`](super::simulate).
+pub fn simulate_with_tangents(
+    model: &HeartModel,
+    plan: &SimulationPlan,
+    loads: &[&dyn StepLoad],
+    parameters: &[RegionalParameter],
+    observer: &mut dyn FnMut(&HeartState, &CurveRow) -> ControlFlow<()>,
+) -> Result<(Trajectory, Vec<Trajectory>), TangentError> {
+    let step_s = model.settings().step_s;
+    let start = model.initial_state(plan.start_time_s);
+    let mut columns = TangentColumns::new(model, &start, loads, parameters)?;
+    let mut workspace = model.workspace();
+    let step_count = step_count(&start, plan, step_s);
+    let mut recordings: Vec<Recording<'_>> = columns.states().map(|state| Recording::new(state.clone(), plan, step_s)).collect();
+    let mut recording = Recording::new(start, plan, step_s);
+    let mut is_stopped = recording.show(observer);
+    for _ in 0..step_count {
+        if is_stopped {
+            break;
+        }
+        let StepOutcome { state, substep_count, .. } = model.step(recording.last(), loads, &mut workspace)?;
+        columns.step(model, recording.last(), &state, &workspace)?;
+        for (recording, state) in recordings.iter_mut().zip(columns.states()) {
+            recording.add(state.clone(), substep_count);
+        }
+        recording.add(state, substep_count);
+        is_stopped = recording.show(observer);
+    }
+    let tangents = recordings.into_iter().map(|recording| recording.into_trajectory(is_stopped)).collect();
+    Ok((recording.into_trajectory(is_stopped), tangents))
+}
