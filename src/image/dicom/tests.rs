@@ -12,6 +12,7 @@ use super::*;
 const EXPLICIT: &str = "1.2.840.10008.1.2.1";
 const IMPLICIT: &str = "1.2.840.10008.1.2";
 const RLE: &str = "1.2.840.10008.1.2.5";
+const JPEG_2000: &str = "1.2.840.10008.1.2.4.90";
 const SHAPE: [usize; 2] = [12, 9];
 const SPACING_MM: [f64; 2] = [1.5, 1.7];
 const GAP_MM: f64 = 8.0;
@@ -81,7 +82,7 @@ fn write(path: &Path, file: &File) {
     }
     object.put(DataElement::new(Tag(0x0028, 0x0004), VR::CS, PrimitiveValue::from("MONOCHROME2")));
     let pixels = Tag(0x7FE0, 0x0010);
-    if file.syntax == RLE {
+    if file.syntax == RLE || file.syntax == JPEG_2000 {
         let fragments: C<Vec<u8>> = C::from_vec(vec![run_length(&stored)]);
         object.put(DataElement::new(pixels, VR::OB, PixelFragmentSequence::new_fragments(fragments)));
     } else {
@@ -161,6 +162,14 @@ fn transfer_syntaxes_are_read_alike() {
     let explicit = with(EXPLICIT);
     assert_eq!(explicit, with(IMPLICIT));
     assert_eq!(explicit, with(RLE));
+}
+
+#[test]
+fn a_compression_that_is_not_read_is_named_with_the_remedy() {
+    let mut files = stack_files(0..2, 4);
+    files.iter_mut().for_each(|file| file.syntax = JPEG_2000);
+    let message = read(&files).unwrap_err().to_string();
+    assert!(message.contains("JPEG 2000") && message.contains("convert it to an uncompressed file"), "{message}");
 }
 
 #[test]

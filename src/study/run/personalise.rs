@@ -123,6 +123,10 @@ struct Details {
     measured_end_systolic_volume_lv_ml: f64,
     volume_rms_initial_ml: f64,
     volume_rms_ml: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    volume_rms_rv_initial_ml: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    volume_rms_rv_ml: Option<f64>,
     calibration_status: &'static str,
     iterations: usize,
     simulations: u64,
@@ -204,6 +208,12 @@ pub(super) fn validation_summary(patient: &Patient, images: &PatientImages, trac
     found.into_iter().map(summary).collect()
 }
 
+/// How far the right ventricle of a beat is from what was measured of it, mL RMS.
+fn right_rms_ml(trajectory: &Trajectory, measured: &MeasuredVolumes) -> Option<f64> {
+    let volumes_ml: Vec<f64> = trajectory.frames.iter().filter_map(|frame| frame.volume_ml.get(1).copied()).collect();
+    Some(difference_rms(&volumes_ml, measured.right_ml.as_ref()?))
+}
+
 fn status_of(outcome: &CalibrationOutcome) -> Status {
     match outcome {
         CalibrationOutcome::Converged(_) | CalibrationOutcome::Stalled => Status::Converged,
@@ -248,6 +258,8 @@ fn leave(
         measured_end_systolic_volume_lv_ml: measured.smallest_ml,
         volume_rms_initial_ml: difference_rms(&frame_volumes_lv_ml(&found.initial), &found.measured.left_ml),
         volume_rms_ml: difference_rms(&frame_volumes_lv_ml(&found.fitted), &found.measured.left_ml),
+        volume_rms_rv_initial_ml: right_rms_ml(&found.initial, &found.measured),
+        volume_rms_rv_ml: right_rms_ml(&found.fitted, &found.measured),
         calibration_status: found.calibration.outcome.status(),
         iterations: found.calibration.records.len().saturating_sub(1),
         simulations: found.calibration.evaluation_count + found.calibration.linearisation_count * found.space.dimension() as u64,
