@@ -12,8 +12,9 @@ use cardiotwin::mesh::SurfaceTag;
 use cardiotwin::phantom::{IdealisedLv, PrescribedContraction, ShortAxisStack, SyntheticCineSettings, synthetic_cine};
 use cardiotwin::tracking::{
     AppearanceSettings, BaseMode, BlockMatchingSettings, BoundarySearch, BoundarySettings, ForceScheme, ImageForce, ImageInstant,
-    SurfaceAppearance, SurfaceGain, TrackerSettings, match_base, track,
+    Similarity, SurfaceAppearance, SurfaceGain, TrackerSettings, match_base, track,
 };
+use criterion::{BenchmarkId, Criterion};
 
 mod hearts;
 
@@ -47,20 +48,27 @@ fn image_force<'a>(model: &'a HeartModel, cine: &'a CineSequence, scheme: ForceS
 }
 
 /// The pieces of a tracked step, and of its beat.
-fn print_pieces(model: &HeartModel, cine: &CineSequence) {
+fn pieces(criterion: &mut Criterion<hearts::ProcessorTime>, model: &HeartModel, cine: &CineSequence) {
     let anatomy = model.anatomy();
     let force = image_force(model, cine, ForceScheme::Variational, 20.0);
     let rest_mm = anatomy.mesh.vertices_mm();
     let (mut workspace, mut state) = (model.workspace(), model.initial_state(0.0));
     let base = anatomy.surface.vertices_with(SurfaceTag::Base);
-    let title = format!("{} vertices, {} of them on the base", anatomy.mesh.vertex_count(), base.len());
-    let matching = BlockMatchingSettings::default();
-    let things: Vec<hearts::Timed> = vec![
-        ("free step", Box::new(|| state = model.step(&state, &[], &mut workspace).unwrap().state)),
-        ("boundary search of a step", Box::new(|| drop(black_box(force.targets(rest_mm, 0.123))))),
-        ("block matching of a sequence", Box::new(|| drop(black_box(match_base(cine, 0, &base, rest_mm, &matching).unwrap())))),
-    ];
-    hearts::print_in_turn(&title, 3, things);
+    let vertices = anatomy.mesh.vertex_count();
+    println!("{vertices} vertices, {} of them on the base", base.len());
+    let mut group = criterion.benchmark_group("tracking");
+    group.bench_function(BenchmarkId::new("free_step", vertices), |bencher| {
+        bencher.iter(|| state = model.step(&state, &[], &mut workspace).unwrap().state);
+    });
+    group
+        .bench_function(BenchmarkId::new("boundary_search", vertices), |bencher| bencher.iter(|| force.targets(black_box(rest_mm), 0.123)));
+    for similarity in [Similarity::Ssd, Similarity::Ncc] {
+        let matching = BlockMatchingSettings { similarity, ..BlockMatchingSettings::default() };
+        group.bench_function(BenchmarkId::new(format!("block_matching_{similarity:?}"), vertices), |bencher| {
+            bencher.iter(|| match_base(black_box(cine), 0, &base, rest_mm, &matching).unwrap());
+        });
+    }
+    group.finish();
 }
 
 /// A whole beat, free and tracked.
@@ -134,11 +142,12 @@ fn drawn_along(operator: &StepOperator, force: &ImageForce, settings: SolveSetti
 fn main() {
     // One thread, this one: the clock is its own.
     rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build_global().unwrap();
+    let mut criterion = hearts::criterion();
     for (_, edge_length_mm) in &hearts::SIZES[..2] {
         let parameters = Parameters::default().with(Parameter::HeartPeriod, PERIOD_S).unwrap();
         let model = HeartModel::new(hearts::left_ventricle(*edge_length_mm), parameters, ModelSettings::default()).unwrap();
         let cine = cine(&model);
-        print_pieces(&model, &cine);
+        pieces(&mut criterion, &model, &cine);
         print_preconditioners(&model, &cine);
         print_beats(&model, &cine);
     }

@@ -104,7 +104,8 @@ fn every_path_agrees_with_dense_lu() {
         let gradient: Vec<Vector3<f64>> = (0..count).map(|v| wobble(v + 5)).collect();
         let mut position = state.position_mm.clone();
         let mut responses = vec![gradient.clone()];
-        let mut solver = StepSolver::new(SolveSettings { relative_tolerance: 1e-11, ..SolveSettings::default() });
+        let mut solver =
+            StepSolver::new(SolveSettings { relative_tolerance: 1e-11, response_tolerance: 1e-11, ..SolveSettings::default() });
         let report = solver.solve(&operator, &system, &mut position, &mut responses).unwrap();
         assert_eq!(report.path, path);
         let lu = dense_of(&operator, &system).lu();

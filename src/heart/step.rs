@@ -85,11 +85,15 @@ impl HeartModel {
         }
     }
 
-    /// A tangent is given up sooner than a step of linear kinematics, which has no other.
+    /// A tangent is given up sooner than a step of linear kinematics, which has no other. Under loads of the heart at rest the W only
+    /// carry a step's change of pressure, which a few digits of them suffice for.
     fn solve_settings(&self) -> SolveSettings {
-        match self.settings.kinematics {
-            Kinematics::Linear => SolveSettings::default(),
-            Kinematics::Corotational => SolveSettings { iteration_limit: TANGENT_ITERATION_LIMIT, ..SolveSettings::default() },
+        match (self.settings.kinematics, self.settings.pressure_load) {
+            (Kinematics::Linear, PressureLoad::Reference) => {
+                SolveSettings { relative_tolerance: 1e-5, response_tolerance: 1e-4, ..SolveSettings::default() }
+            }
+            (Kinematics::Linear, PressureLoad::Following) => SolveSettings::default(),
+            (Kinematics::Corotational, _) => SolveSettings { iteration_limit: TANGENT_ITERATION_LIMIT, ..SolveSettings::default() },
         }
     }
 
@@ -165,13 +169,22 @@ impl HeartModel {
         Ok(())
     }
 
-    /// y₀ and the first W together: one pass over the factor.
+    /// y₀ and the first W together: one pass over the factor. What is solved for is $Y(p^*) = \tilde K^{-1}(F + \sum_k p^*_k L_k)$ with the
+    /// pressures of the last step, from $Y^*$, and then $y_0 = Y(p^*) - \sum_k p^*_k W_k$: so $Y(p)$ errs by no more than the error of W
+    /// times the step's change of pressure.
     fn solve_free(&self, state: &HeartState, workspace: &mut StepWorkspace) -> Result<SolveReport, MechanicsError> {
-        workspace.guess_free(state);
         self.write_gradients(workspace);
         self.write_pressure_loads(workspace);
-        let StepWorkspace { solver, system, free_mm, yields_mm_per_kpa, .. } = workspace;
-        solver.solve(&self.operator, system, free_mm, yields_mm_per_kpa)
+        let StepWorkspace { solver, system, free_mm, trial_mm, yields_mm_per_kpa, .. } = workspace;
+        for (ventricle, load) in state.ventricles.iter().zip(&*yields_mm_per_kpa) {
+            add_scaled(&mut system.force_mn, ventricle.pressure_kpa, load);
+        }
+        free_mm.copy_from_slice(trial_mm);
+        let report = solver.solve(&self.operator, system, free_mm, yields_mm_per_kpa)?;
+        for (ventricle, yields) in state.ventricles.iter().zip(&*yields_mm_per_kpa) {
+            add_scaled(free_mm, -ventricle.pressure_kpa, yields);
+        }
+        Ok(report)
     }
 
     /// ∂V, and W where the load follows the surface, at a new Y*; nothing is solved where it does not.
@@ -286,23 +299,11 @@ impl StepWorkspace {
         }
     }
 
-    /// Where the search for y₀ starts: Y* − Σ p W with the pressures and yields of the last step. A poor guess costs iterations only.
-    fn guess_free(&mut self, state: &HeartState) {
-        self.free_mm.copy_from_slice(&self.trial_mm);
-        for (ventricle, yields) in state.ventricles.iter().zip(&self.yields_mm_per_kpa) {
-            for (free, yielded) in self.free_mm.iter_mut().zip(yields) {
-                *free -= yielded * ventricle.pressure_kpa;
-            }
-        }
-    }
-
     /// Y = y₀ + Σ p W.
     fn move_trial(&mut self, flows: &[VentricleFlow]) {
         self.trial_mm.copy_from_slice(&self.free_mm);
         for (flow, yields) in flows.iter().zip(&self.yields_mm_per_kpa) {
-            for (trial, yielded) in self.trial_mm.iter_mut().zip(yields) {
-                *trial += yielded * flow.pressure_kpa;
-            }
+            add_scaled(&mut self.trial_mm, flow.pressure_kpa, yields);
         }
     }
 }
@@ -310,6 +311,12 @@ impl StepWorkspace {
 /// h (q_out − q_in), mm³.
 pub(super) fn net_outflow_mm3(flow: &VentricleFlow, step_s: f64) -> f64 {
     mm3_from_ml((flow.outflow_ml_per_s - flow.inflow_ml_per_s) * step_s)
+}
+
+fn add_scaled(sum: &mut [Vector3<f64>], factor: f64, add: &[Vector3<f64>]) {
+    for (sum, add) in sum.iter_mut().zip(add) {
+        *sum += add * factor;
+    }
 }
 
 pub(super) fn dot(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {

@@ -23,8 +23,12 @@ impl Cell {
     /// `None` if the point is not within the box of the voxel centres. An axis of one voxel is hit only at its centre.
     #[inline]
     fn around(grid: &Grid, position_mm: &Vector3<f64>) -> Option<Self> {
-        let voxel = grid.to_voxel(position_mm);
-        let shape = grid.shape();
+        Self::at(grid.shape(), &grid.to_voxel(position_mm))
+    }
+
+    /// The same for a continuous voxel index in an image of a shape.
+    #[inline]
+    fn at(shape: [usize; 3], voxel: &Vector3<f64>) -> Option<Self> {
         let steps = [1, shape[0], shape[0] * shape[1]];
         let mut cell = Self { first: 0, stride: [0; 3], local: [0.0; 3] };
         for axis in 0..3 {
@@ -116,7 +120,13 @@ impl CineInstant<'_> {
     /// Value at a world position (mm); `None` outside.
     #[inline]
     pub fn sample(&self, position_mm: &Vector3<f64>) -> Option<f64> {
-        let cell = Cell::around(self.grid(), position_mm)?;
+        self.sample_at_voxel(&self.grid().to_voxel(position_mm))
+    }
+
+    /// Value at a continuous voxel index; `None` outside. For many samples along a line, whose places in the grid are found once.
+    #[inline]
+    pub fn sample_at_voxel(&self, voxel: &Vector3<f64>) -> Option<f64> {
+        let cell = Cell::at(self.grid().shape(), voxel)?;
         let (earlier, later) = (cell.value(self.earlier.values()), cell.value(self.later.values()));
         Some(earlier + self.later_weight * (later - earlier))
     }

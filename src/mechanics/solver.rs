@@ -44,6 +44,8 @@ pub struct SolveReport {
 pub struct SolveSettings {
     /// Residual norm over that of the right-hand side; for the position, over that of the force on the tissue at rest.
     pub relative_tolerance: f64,
+    /// The same for responses that are solved for together with a position.
+    pub response_tolerance: f64,
     /// Iterations after which a solve has failed.
     pub iteration_limit: usize,
     /// The preconditioner is factorised anew once the iterations it costs beyond those it cost at first sum up to this: about the
@@ -53,7 +55,7 @@ pub struct SolveSettings {
 
 impl Default for SolveSettings {
     fn default() -> Self {
-        Self { relative_tolerance: 1e-8, iteration_limit: 400, excess_iterations: 8 }
+        Self { relative_tolerance: 1e-8, response_tolerance: 1e-8, iteration_limit: 400, excess_iterations: 8 }
     }
 }
 
@@ -289,7 +291,9 @@ impl StepSolver {
         let first_response = usize::from(position_reference.is_some());
         self.reference_norms.clear();
         self.reference_norms.extend(position_reference);
-        self.reference_norms.extend(columns[first_response..].iter().map(|column| norm(column)));
+        // One tolerance serves all columns: a looser one of the responses scales their references.
+        let looser = if first_response > 0 && !matrix.is_tangent() { self.settings.response_tolerance / relative_tolerance } else { 1.0 };
+        self.reference_norms.extend(columns[first_response..].iter().map(|column| norm(column) * looser));
         let product = |x: &[Vector3<f64>], y: &mut [Vector3<f64>]| matrix.multiply(x, y);
         self.guesses.subtract(&product, &mut columns[first_response..]);
         let is_symmetric = matrix.is_symmetric();

@@ -38,6 +38,11 @@ impl AppearanceSettings {
         [self.side_from_mm.min(WALL_SHARE_FROM * thickness_mm), self.side_to_mm.min(WALL_SHARE_TO * thickness_mm)]
     }
 
+    /// A wall as thick as this is read like any thicker one.
+    fn thin_below_mm(&self) -> f64 {
+        (self.side_from_mm / WALL_SHARE_FROM).max(self.side_to_mm / WALL_SHARE_TO)
+    }
+
     /// Where the other side is read, mm from the boundary.
     pub(super) fn outer_span_mm(&self) -> [f64; 2] {
         [self.side_from_mm, self.side_to_mm]
@@ -93,7 +98,7 @@ impl SurfaceAppearance {
         }
         let neighbours = neighbours_along(surface, tag, &vertices);
         let area_mm2 = surface.vertex_area_vectors_mm2(tag, position_mm);
-        let thickness_mm = thickness_mm(surface, tag, &vertices, &area_mm2, position_mm);
+        let thickness_mm = thickness_mm(surface, tag, &vertices, &area_mm2, position_mm, settings.thin_below_mm());
         let inner_span_mm: Vec<[f64; 2]> = thickness_mm.into_iter().map(|thickness_mm| settings.inner_span_mm(thickness_mm)).collect();
         let sides = read_sides(&vertices, &inner_span_mm, &area_mm2, position_mm, instant, settings.outer_span_mm());
         let seen: Vec<&Sides> = sides.iter().flatten().collect();
@@ -169,11 +174,12 @@ pub(super) fn side_intensity(
     [from_mm, to_mm]: [f64; 2],
 ) -> Option<f64> {
     const READINGS: usize = 5;
+    let line = instant.line(point_mm, direction);
     let mut values = [0.0; READINGS];
     for (reading, value) in values.iter_mut().enumerate() {
         let share = reading as f64 / (READINGS - 1) as f64;
         let distance_mm = from_mm + share * (to_mm - from_mm);
-        *value = instant.value(&(point_mm + direction * distance_mm))?;
+        *value = line.value(distance_mm)?;
     }
     values.sort_by(f64::total_cmp);
     Some(values[READINGS / 2])

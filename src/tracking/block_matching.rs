@@ -1,6 +1,8 @@
 //! The motion of the base by block matching: every base vertex carries a block of the reference image and looks for the most
 //! similar block in each frame, coarse to fine, sub-voxel at the end, \[Billet2009\] §5 with the practice of \[Ourselin2000\].
 
+use std::ops::RangeInclusive;
+
 use nalgebra::{DMatrix, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -99,20 +101,25 @@ pub fn match_base(
     Ok(BaseMatches::new(vertices.to_vec(), cine.times_s().to_vec(), cine.period_s(), displacement_mm, confidence))
 }
 
+/// Voxels along the edge of the largest block.
+const WIDEST_BLOCK: usize = 33;
+
 fn check(settings: &BlockMatchingSettings) -> Result<(), TrackingError> {
     TrackingError::check_setting("voxel_mm", settings.voxel_mm, 0.1, 20.0)?;
-    TrackingError::check_setting("block_radius_voxels", settings.block_radius_voxels as f64, 1.0, 16.0)?;
+    TrackingError::check_setting("block_radius_voxels", settings.block_radius_voxels as f64, 1.0, (WIDEST_BLOCK / 2) as f64)?;
     TrackingError::check_setting("levels", settings.levels as f64, 1.0, 6.0)?;
     TrackingError::check_setting("range_mm", settings.range_mm, settings.voxel_mm, 100.0)?;
     TrackingError::check_setting("variance_share", settings.variance_share, 0.01, 1.0)?;
     TrackingError::check_setting("trimmed_share", settings.trimmed_share, 0.01, 1.0)
 }
 
-/// The voxels of a block at one level of the pyramid, with mean and variance.
+/// The voxels of a block at one level of the pyramid, less their mean.
 struct Block {
     values: Vec<f32>,
-    mean: f64,
+    mean: f32,
     variance: f64,
+    /// 2 r + 1.
+    side: usize,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -125,19 +132,17 @@ struct Match {
 /// The blocks around a point, finest level first; levels at which the block leaves the image are cut off.
 fn blocks_of(pyramid: &Pyramid, centre_mm: &Vector3<f64>, radius: usize) -> Vec<Block> {
     let read = |level: &Level| {
-        let mut values = Vec::new();
-        level.read_block(centre_mm, radius, &mut values).then(|| {
-            let (mean, variance) = moments(&values);
-            Block { values, mean, variance }
+        level.shifts(centre_mm, radius, 0).iter().all(|range| range.contains(&0)).then(|| {
+            let mut values = Vec::new();
+            level.read_around(centre_mm, radius, &mut values);
+            let count = values.len() as f64;
+            let mean = (values.iter().map(|&v| f64::from(v)).sum::<f64>() / count) as f32;
+            values.iter_mut().for_each(|value| *value -= mean);
+            let variance = values.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>() / count;
+            Block { values, mean, variance, side: 2 * radius + 1 }
         })
     };
     pyramid.levels().iter().map_while(read).collect()
-}
-
-fn moments(values: &[f32]) -> (f64, f64) {
-    let count = values.len() as f64;
-    let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / count;
-    (mean, values.iter().map(|&v| (f64::from(v) - mean).powi(2)).sum::<f64>() / count)
 }
 
 fn highest_variance(blocks: &[Vec<Block>], share: f64) -> Vec<bool> {
@@ -146,30 +151,61 @@ fn highest_variance(blocks: &[Vec<Block>], share: f64) -> Vec<bool> {
     variances.iter().map(|variance| variance.is_some_and(|v| v >= least && v > 0.0)).collect()
 }
 
-/// Dissimilarity of a reference block and the block at a point of a level, 0 (the same) to about 2, or nothing outside the image.
-///
-/// SSD: $\sum (a - b)^2 / \sum ((a - \bar a)^2 + (b - \bar b)^2)$, without the denominator's dependence on b for the search: the
-/// reference's variance alone scales it. NCC: $1 - \rho$.
-fn dissimilarity(
-    block: &Block,
-    level: &Level,
-    point_mm: &Vector3<f64>,
-    settings: &BlockMatchingSettings,
-    other: &mut Vec<f32>,
-) -> Option<f64> {
-    if !level.read_block(point_mm, settings.block_radius_voxels, other) {
-        return None;
+/// The surroundings of a point of a level: a block and `reach` voxels more on every side.
+struct Surroundings {
+    values: Vec<f32>,
+    side: usize,
+    reach: i32,
+    within: [RangeInclusive<i32>; 3],
+}
+
+impl Surroundings {
+    /// Reads them into the memory of others.
+    fn read(level: &Level, point_mm: &Vector3<f64>, block: &Block, reach: i32, mut values: Vec<f32>) -> Self {
+        let radius = block.side / 2;
+        level.read_around(point_mm, radius + reach as usize, &mut values);
+        Self { values, side: block.side + 2 * reach as usize, reach, within: level.shifts(point_mm, radius, reach) }
     }
-    let pairs = || block.values.iter().zip(other.iter()).map(|(&a, &b)| (f64::from(a), f64::from(b)));
-    match settings.similarity {
-        Similarity::Ssd => {
-            let sum: f64 = pairs().map(|(a, b)| (a - b) * (a - b)).sum();
-            Some(sum / (2.0 * block.variance.max(f64::MIN_POSITIVE) * block.values.len() as f64))
+
+    /// Dissimilarity of a block and the one that is shifted by whole voxels, 0 (the same) to about 2, or nothing outside the image.
+    ///
+    /// SSD: $\sum (a - b)^2 / \sum ((a - \bar a)^2 + (b - \bar b)^2)$, without the denominator's dependence on b for the search: the
+    /// reference's variance alone scales it. NCC: $1 - \rho$. Both from sums of $a - \bar a$ and $b - \bar a$, a sum for each place in a row.
+    fn dissimilarity(&self, block: &Block, shift: [i32; 3], similarity: Similarity) -> Option<f64> {
+        if !self.within.iter().zip(shift).all(|(range, shift)| range.contains(&shift)) {
+            return None;
         }
-        Similarity::Ncc => {
-            let (mean, variance) = moments(other);
-            let covariance = pairs().map(|(a, b)| (a - block.mean) * (b - mean)).sum::<f64>() / block.values.len() as f64;
-            Some(1.0 - covariance / (block.variance * variance).sqrt().max(f64::MIN_POSITIVE))
+        let [i, j, k] = shift.map(|shift| (shift + self.reach) as usize);
+        let rows = block.values.chunks_exact(block.side).enumerate().map(|(row, values)| {
+            let start = i + self.side * (j + row % block.side + self.side * (k + row / block.side));
+            (values, &self.values[start..start + block.side])
+        });
+        let mut sums = [[0.0_f32; WIDEST_BLOCK]; 3];
+        let [first, second, third] = &mut sums;
+        let count = block.values.len() as f64;
+        let total = |sums: &[f32; WIDEST_BLOCK]| sums.iter().map(|&s| f64::from(s)).sum::<f64>() / count;
+        match similarity {
+            Similarity::Ssd => {
+                for (a, b) in rows {
+                    for ((sum, &a), &b) in first.iter_mut().zip(a).zip(b) {
+                        let apart = a - (b - block.mean);
+                        *sum += apart * apart;
+                    }
+                }
+                Some(total(first) / (2.0 * block.variance.max(f64::MIN_POSITIVE)))
+            }
+            Similarity::Ncc => {
+                for (a, b) in rows {
+                    for ((((ab, bb), b_sum), &a), &b) in first.iter_mut().zip(&mut *second).zip(&mut *third).zip(a).zip(b) {
+                        let b = b - block.mean;
+                        *ab += a * b;
+                        *bb += b * b;
+                        *b_sum += b;
+                    }
+                }
+                let variance = (total(second) - total(third).powi(2)).max(0.0);
+                Some(1.0 - total(first) / (block.variance * variance).sqrt().max(f64::MIN_POSITIVE))
+            }
         }
     }
 }
@@ -182,7 +218,7 @@ fn search(
     start_mm: &Vector3<f64>,
     settings: &BlockMatchingSettings,
 ) -> Option<Match> {
-    let mut other = Vec::new();
+    let mut memory = Vec::new();
     let mut best_mm = *start_mm;
     let mut best = f64::INFINITY;
     for depth in (0..blocks.len()).rev() {
@@ -191,15 +227,16 @@ fn search(
         let is_coarsest = depth + 1 == blocks.len();
         let reach = if is_coarsest { (settings.range_mm / step_mm).ceil() as i32 } else { 1 };
         let around_mm = best_mm;
+        let seen = Surroundings::read(level, &(centre_mm + around_mm), block, reach, memory);
         best = f64::INFINITY;
-        for [i, j, k] in cube(reach) {
-            let displacement_mm = around_mm + level.axes() * Vector3::new(f64::from(i), f64::from(j), f64::from(k)) * step_mm;
-            if let Some(value) = dissimilarity(block, level, &(centre_mm + displacement_mm), settings, &mut other)
+        for shift in cube(reach) {
+            if let Some(value) = seen.dissimilarity(block, shift, settings.similarity)
                 && value < best
             {
-                (best, best_mm) = (value, displacement_mm);
+                (best, best_mm) = (value, around_mm + level.axes() * Vector3::from(shift.map(f64::from)) * step_mm);
             }
         }
+        memory = seen.values;
     }
     if !best.is_finite() {
         return None;
@@ -207,14 +244,18 @@ fn search(
     let block = blocks.first()?;
     let finest = &moving.levels()[0];
     for step_mm in [finest.voxel_mm(), 0.5 * finest.voxel_mm()] {
-        let at = |shift: Vector3<f64>, other: &mut Vec<f32>| {
-            dissimilarity(block, finest, &(centre_mm + best_mm + finest.axes() * shift * step_mm), settings, other)
+        let mut at = |shift: Vector3<f64>| {
+            let point_mm = centre_mm + best_mm + finest.axes() * shift * step_mm;
+            let seen = Surroundings::read(finest, &point_mm, block, 0, std::mem::take(&mut memory));
+            let value = seen.dissimilarity(block, [0; 3], settings.similarity);
+            memory = seen.values;
+            value
         };
-        let Some(middle) = at(Vector3::zeros(), &mut other) else { break };
+        let Some(middle) = at(Vector3::zeros()) else { break };
         let mut shift = Vector3::zeros();
         for axis in 0..3 {
             let unit = Vector3::ith(axis, 1.0);
-            if let (Some(before), Some(after)) = (at(-unit, &mut other), at(unit, &mut other)) {
+            if let (Some(before), Some(after)) = (at(-unit), at(unit)) {
                 shift[axis] = parabola_minimum(before, middle, after);
             }
         }

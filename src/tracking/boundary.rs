@@ -147,7 +147,8 @@ impl BoundarySearch {
         let sense = self.appearance.contrast[place].signum();
         let level = self.appearance.level[place];
         let half_count = (self.settings.range_mm / self.settings.sample_mm).round() as i32;
-        let height = |distance_mm: f64| Some(sense * (instant.value(&(origin_mm + normal * distance_mm))? - level));
+        let line = instant.line(origin_mm, normal);
+        let height = |distance_mm: f64| Some(sense * (line.value(distance_mm)? - level));
         let mut found = Vec::new();
         let mut before: Option<(f64, f64)> = None;
         for sample in -half_count..=half_count {
@@ -184,6 +185,9 @@ impl BoundarySearch {
         }
         let image_normal = gradient_per_mm.normalize() * contrast[place].signum();
         let angle = self.angle_confidence(normal.dot(&image_normal));
+        if angle <= 0.0 {
+            return None;
+        }
         let inner = side_intensity(instant, &point_mm, &-normal, inner_span_mm[place])?;
         let outer = side_intensity(instant, &point_mm, normal, self.sides.outer_span_mm())?;
         let edge = ((outer - inner) / contrast[place]).clamp(0.0, 1.0);
@@ -220,7 +224,7 @@ fn nearest(candidates: &[Candidate], distance_mm: f64) -> Option<&Candidate> {
 
 /// The root between two samples of opposite sign, by the Illinois variant of regula falsi.
 fn refine_crossing(low: (f64, f64), high: (f64, f64), height: impl Fn(f64) -> Option<f64>) -> Option<f64> {
-    const TOLERANCE_MM: f64 = 1e-6;
+    const TOLERANCE_MM: f64 = 1e-4;
     let (mut low, mut high) = (low, high);
     let mut side = 0;
     for _ in 0..40 {

@@ -86,11 +86,11 @@ impl StepLoad for ImageForce<'_> {
     /// where it stands in the image of the step's end, with the dependence of Z on Y in the stiffness.
     fn add_to(&self, state: &MotionState, time_s: f64, step_s: f64, system: &mut StepSystem) {
         let image_time_s = if self.scheme == ForceScheme::Explicit { time_s } else { time_s + step_s };
-        let targets = self.targets(&state.position_mm, image_time_s);
+        let instant = ImageInstant::new(self.cine, image_time_s);
         let mut applied = self.applied.lock().unwrap_or_else(PoisonError::into_inner);
         applied.clear();
-        for (one, found) in self.surfaces.iter().zip(&targets) {
-            for target in &found.targets {
+        for one in self.surfaces.iter().filter(|one| one.gain_kpa_per_mm > 0.0) {
+            for target in &one.search.find(self.surface, &state.position_mm, &instant).targets {
                 let gain = self.gain_mn_per_mm(one.gain_kpa_per_mm, target);
                 if gain > 0.0 {
                     let load = self.scheme.load(target, &state.position_mm[target.vertex], gain);

@@ -22,19 +22,31 @@ impl<'a> ImageInstant<'a> {
 
     /// Intensity at a world position (mm). A voxel reaches half its width beyond its centre: within that margin the outermost
     /// value stands, which matters at the first and last of few thick slices. Nothing further out.
+    #[inline]
     pub fn value(&self, position_mm: &Vector3<f64>) -> Option<f64> {
-        self.cine.sample(position_mm).or_else(|| self.cine.sample(&clamped_to_centres(self.cine.grid(), position_mm)?))
+        self.value_at_voxel(&self.cine.grid().to_voxel(position_mm))
+    }
+
+    #[inline]
+    fn value_at_voxel(&self, voxel: &Vector3<f64>) -> Option<f64> {
+        self.cine.sample_at_voxel(voxel).or_else(|| self.cine.sample_at_voxel(&within_centres(self.cine.grid(), voxel)?))
+    }
+
+    /// The intensities along a line through a point (mm).
+    pub(super) fn line(&self, origin_mm: &Vector3<f64>, direction: &Vector3<f64>) -> ImageLine<'_> {
+        ImageLine { instant: self, origin: self.cine.grid().to_voxel(origin_mm), per_mm: self.world_to_voxel * direction }
     }
 
     /// Gradient of the intensity (1/mm, world axes), from values one voxel to either side along each axis of the grid: smooth where
     /// the gradient of the trilinear interpolant jumps. With A the linear part of the voxel-to-world map, $\nabla I = A^{-T} \nabla_{ijk} I$.
     pub fn gradient_per_mm(&self, position_mm: &Vector3<f64>) -> Option<Vector3<f64>> {
-        let middle = self.value(position_mm)?;
+        let voxel = self.cine.grid().to_voxel(position_mm);
+        let middle = self.value_at_voxel(&voxel)?;
         let mut slope = Vector3::zeros();
         for axis in 0..3 {
-            let step = self.voxel_axes_mm.column(axis);
+            let step = Vector3::ith(axis, 1.0);
             // At the border of the image a one-sided difference remains.
-            slope[axis] = match (self.value(&(position_mm - step)), self.value(&(position_mm + step))) {
+            slope[axis] = match (self.value_at_voxel(&(voxel - step)), self.value_at_voxel(&(voxel + step))) {
                 (Some(before), Some(after)) => 0.5 * (after - before),
                 (Some(before), None) => middle - before,
                 (None, Some(after)) => after - middle,
@@ -50,6 +62,22 @@ impl<'a> ImageInstant<'a> {
         let row = self.world_to_voxel.row(2).transpose();
         let pixel_mm = self.voxel_axes_mm.column(0).norm().max(self.voxel_axes_mm.column(1).norm());
         SliceResolution { normal: row.normalize(), distance_mm: slice_distance_mm.unwrap_or(1.0 / row.norm()).max(pixel_mm), pixel_mm }
+    }
+}
+
+/// A line through an image: its place in the grid is found once for all its points.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ImageLine<'a> {
+    instant: &'a ImageInstant<'a>,
+    origin: Vector3<f64>,
+    per_mm: Vector3<f64>,
+}
+
+impl ImageLine<'_> {
+    /// [`ImageInstant::value`] at a distance from the line's origin, mm.
+    #[inline]
+    pub(super) fn value(&self, distance_mm: f64) -> Option<f64> {
+        self.instant.value_at_voxel(&(self.origin + self.per_mm * distance_mm))
     }
 }
 
@@ -83,10 +111,14 @@ impl SliceResolution {
 
 /// The nearest point of the box of voxel centres, if it is no further than half a voxel along each axis.
 pub(super) fn clamped_to_centres(grid: &Grid, position_mm: &Vector3<f64>) -> Option<Vector3<f64>> {
-    let voxel = grid.to_voxel(position_mm);
+    within_centres(grid, &grid.to_voxel(position_mm)).map(|voxel| grid.to_world_mm(&voxel))
+}
+
+/// The same in continuous voxel indices.
+fn within_centres(grid: &Grid, voxel: &Vector3<f64>) -> Option<Vector3<f64>> {
     let last = Vector3::from(grid.shape().map(|n| n as f64 - 1.0));
     let clamped = voxel.zip_map(&last, |v, last| v.clamp(0.0, last));
-    ((voxel - clamped).amax() <= 0.5).then(|| grid.to_world_mm(&clamped))
+    ((voxel - clamped).amax() <= 0.5).then_some(clamped)
 }
 
 #[cfg(test)]

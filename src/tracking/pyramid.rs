@@ -1,5 +1,7 @@
 //! A stretch of an image on isotropic voxels, with coarser levels, for block matching.
 
+use std::ops::RangeInclusive;
+
 use nalgebra::{Matrix3, Matrix4, Vector3};
 
 use super::instant::clamped_to_centres;
@@ -70,39 +72,46 @@ impl Level {
         &self.axes
     }
 
-    /// Reads the (2 r + 1)³ values around a point by trilinear interpolation (all with the same weights); false, and nothing
-    /// useful, if the block leaves the image.
-    pub(super) fn read_block(&self, centre_mm: &Vector3<f64>, radius: usize, values: &mut Vec<f32>) -> bool {
-        values.clear();
-        let index = self.axes.transpose() * (centre_mm - self.origin_mm) / self.voxel_mm;
-        let mut low = [0; 3];
-        let mut fraction = [0.0_f32; 3];
-        for axis in 0..3 {
-            let first = index[axis] - radius as f64;
-            let last = index[axis] + radius as f64;
-            if !(first >= 0.0 && last <= (self.shape[axis] as f64) - 1.0) {
-                return false;
-            }
-            low[axis] = (first.floor() as usize).min(self.shape[axis].saturating_sub(2 * radius + 2));
-            fraction[axis] = (first - low[axis] as f64) as f32;
-        }
-        let [ni, nj, nk] = self.shape;
-        let stride = [1, ni, ni * nj];
-        let step = [0, 1, 2].map(|axis| if [ni, nj, nk][axis] > low[axis] + 2 * radius + 1 { stride[axis] } else { 0 });
-        let [u, v, w] = fraction;
+    /// Reads the (2 r + 1)³ values around a point, r = `radius`, by trilinear interpolation (all with the same weights): along k and j by
+    /// whole rows, then along i. Beyond the image stands its outermost value; [`Level::shifts`] says which blocks lie within.
+    pub(super) fn read_around(&self, centre_mm: &Vector3<f64>, radius: usize, values: &mut Vec<f32>) {
+        let index = self.index_of(centre_mm);
+        let side = 2 * radius + 1;
+        let low = [0, 1, 2].map(|axis| index[axis].floor() as isize - radius as isize);
+        let [u, v, w] = [0, 1, 2].map(|axis| (index[axis] - index[axis].floor()) as f32);
+        let clamped = |axis: usize, at: isize| at.clamp(0, self.shape[axis] as isize - 1) as usize;
+        let columns: Vec<usize> = (0..=side).map(|i| clamped(0, low[0] + i as isize)).collect();
+        let row = |j: usize, k: usize| {
+            let start = self.shape[0] * (clamped(1, low[1] + j as isize) + self.shape[1] * clamped(2, low[2] + k as isize));
+            &self.values[start..start + self.shape[0]]
+        };
         let mix = |a: f32, b: f32, share: f32| a + share * (b - a);
-        for k in 0..=2 * radius {
-            for j in 0..=2 * radius {
-                let row = low[0] + ni * (low[1] + j + nj * (low[2] + k));
-                for i in 0..=2 * radius {
-                    let at = row + i;
-                    let along_i = |from: usize| mix(self.values[from], self.values[from + step[0]], u);
-                    let along_j = |from: usize| mix(along_i(from), along_i(from + step[1]), v);
-                    values.push(mix(along_j(at), along_j(at + step[2]), w));
+        values.clear();
+        let mut mixed = vec![0.0_f32; side + 1];
+        for k in 0..side {
+            for j in 0..side {
+                let [near, right, above, far] = [row(j, k), row(j + 1, k), row(j, k + 1), row(j + 1, k + 1)];
+                for (value, &i) in mixed.iter_mut().zip(&columns) {
+                    *value = mix(mix(near[i], right[i], v), mix(above[i], far[i], v), w);
                 }
+                values.extend(mixed.windows(2).map(|pair| mix(pair[0], pair[1], u)));
             }
         }
-        true
+    }
+
+    /// By how many voxels along each axis a block of (2 r + 1)³ around a point can be shifted, at most `reach` either way, and lie in the
+    /// image; an empty range if it cannot be.
+    pub(super) fn shifts(&self, centre_mm: &Vector3<f64>, radius: usize, reach: i32) -> [RangeInclusive<i32>; 3] {
+        let index = self.index_of(centre_mm);
+        [0, 1, 2].map(|axis| {
+            let before = index[axis] - radius as f64;
+            let behind = self.shape[axis] as f64 - 1.0 - (index[axis] + radius as f64);
+            (-before.floor() as i32).max(-reach)..=(behind.floor() as i32).min(reach)
+        })
+    }
+
+    fn index_of(&self, point_mm: &Vector3<f64>) -> Vector3<f64> {
+        self.axes.transpose() * (point_mm - self.origin_mm) / self.voxel_mm
     }
 
     /// Half the resolution: binomial (1 4 6 4 1)/16 along each axis, every second voxel.
