@@ -15,6 +15,7 @@
 //! | [`heart`] | parameters, the coupled step, the beat, observables |
 //! | [`tracking`] | image forces, block matching at the base, the tracker |
 //! | [`phantom`] | hearts whose truth is known: idealised anatomy, synthetic cine |
+//! | [`sensitivity`] | which parameters matter: tangents, Morris screening, Sobol' indices |
 //! | [`personalisation`] | residuals, Gauss–Newton with constrained QP steps, gains, uncertainty |
 //! | [`report`] | CSV, JSON, VTU and PNG writers |
 //! | [`study`] | a TOML file → a plan → results |
@@ -37,6 +38,8 @@ pub mod heart;
 
 pub mod phantom;
 pub mod tracking;
+
+pub mod sensitivity;
 
 pub mod personalisation;
 
