@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand};
 
-use crate::study::Overrides;
+use crate::study::{Overrides, Shard};
 
 /// From cine MRI to a personalised, beating, electromechanical heart.
 #[derive(Debug, Parser)]
@@ -21,6 +21,10 @@ Exit codes: 0 done; 1 a run failed; 2 a study file or an argument is wrong; 130 
 pub(super) enum Command {
     /// Run a study and write its results
     Run(RunArguments),
+    /// Run one study for every patient of a table, side by side
+    Cohort(CohortArguments),
+    /// Gather what the parts of a sensitivity study or a cohort left (--shard) and read the whole; to do it again changes nothing
+    Merge(StudyArguments),
     /// Say what a study would do, or what is wrong with its file
     Check(StudyArguments),
     /// Say what an image shows: grid, spacing, orientation, frames, times, labels, and what is odd about it
@@ -42,6 +46,28 @@ pub(super) struct RunArguments {
     /// Threads; all cores where absent. Results do not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub(super) threads: Option<u16>,
+    /// Of a sensitivity study: do the i-th of n parts of its runs alone, as one of several jobs
+    #[arg(long, value_name = "I/N")]
+    pub(super) shard: Option<Shard>,
+    /// Say nothing but warnings, errors and results
+    #[arg(short, long)]
+    pub(super) quiet: bool,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct CohortArguments {
+    /// The cohort file
+    #[arg(value_name = "COHORT.toml")]
+    pub(super) file: PathBuf,
+    /// Folder of the results, in place of `directory`
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) output: Option<PathBuf>,
+    /// Threads; all cores where absent. Results do not depend on it
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    pub(super) threads: Option<u16>,
+    /// Run the i-th of n parts of the patients alone, as one of several jobs
+    #[arg(long, value_name = "I/N")]
+    pub(super) shard: Option<Shard>,
     /// Say nothing but warnings, errors and results
     #[arg(short, long)]
     pub(super) quiet: bool,

@@ -43,9 +43,15 @@ impl From<&anyhow::Error> for Exit {
     fn from(error: &anyhow::Error) -> Self {
         match error.downcast_ref::<RunError>() {
             Some(RunError::Stopped) => Self::Interrupted,
-            Some(RunError::Image(_) | RunError::FrameOutOfRange { .. } | RunError::BaseMotion { .. } | RunError::NothingToFit) => {
-                Self::BadInput
-            }
+            Some(
+                RunError::Image(_)
+                | RunError::FrameOutOfRange { .. }
+                | RunError::BaseMotion { .. }
+                | RunError::NothingToFit
+                | RunError::NothingToMerge { .. }
+                | RunError::ForeignRuns { .. }
+                | RunError::Input { .. },
+            ) => Self::BadInput,
             Some(_) => Self::Failed,
             None if error.is::<StudyError>() || error.is::<ImageError>() || error.is::<FollowError>() => Self::BadInput,
             None => Self::Failed,

@@ -27,7 +27,7 @@ pub(super) fn error_chain(error: &dyn Error) -> String {
 pub(super) fn plan_lines(plan: &Plan) -> String {
     let mut text = String::new();
     let mut line = |topic: &str, words: String| {
-        let _ = writeln!(text, "{topic:<12}{words}");
+        let _ = writeln!(text, "{topic:<11} {words}");
     };
     line("study", format!("{} ({})", plan.provenance.study_file, plan.kind.word()));
     line("anatomy", anatomy(plan));
@@ -41,6 +41,10 @@ pub(super) fn plan_lines(plan: &Plan) -> String {
     }
     for free in plan.personalisation.iter().flat_map(|personalisation| &personalisation.parameters) {
         line(if free.fixed { "fixed" } else { "free" }, free_parameter(free));
+    }
+    if let Some(sensitivity) = &plan.sensitivity {
+        let (runs, inputs) = (sensitivity.design.points().len(), sensitivity.inputs.len());
+        line("sensitivity", format!("{}, {runs} runs in {inputs} inputs: {}", sensitivity.method.word(), sensitivity.outputs.join(", ")));
     }
     for parameter in &plan.written {
         line("set", format!("{} = {}", parameter.name(), plan.parameters[*parameter]));

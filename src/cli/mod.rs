@@ -26,6 +26,8 @@ pub fn main() -> ExitCode {
     }));
     let result = match Arguments::parse().command {
         Command::Run(arguments) => run::run_study(arguments),
+        Command::Cohort(arguments) => run::run_cohort(arguments),
+        Command::Merge(arguments) => run::merge_parts(arguments),
         Command::Check(arguments) => check_study(arguments),
         Command::Info(arguments) => info::show(&arguments),
         Command::Mesh(arguments) => mesh::make(arguments),

@@ -5,18 +5,22 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 
-use super::arguments::RunArguments;
+use super::arguments::{CohortArguments, RunArguments, StudyArguments};
 use super::exit::Exit;
 use super::progress::TerminalProgress;
 use super::{plan_of, print, say};
-use crate::study::{Outcome, RunContext, run};
+use crate::study::Choice;
+use crate::study::{Cohort, Config, Outcome, Overrides, Plan, RunContext, RunError, merge, run};
 
 /// Runs a study and prints what it found.
 pub(super) fn run_study(arguments: RunArguments) -> anyhow::Result<Exit> {
-    let plan = plan_of(arguments.study)?;
-    if let Some(threads) = arguments.threads {
-        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global().context("cannot start the threads")?;
+    let mut plan = plan_of(arguments.study)?;
+    match (&mut plan.sensitivity, arguments.shard) {
+        (Some(sensitivity), shard) => sensitivity.shard = shard,
+        (None, Some(_)) => return Err(RunError::NothingToMerge { kind: plan.kind.word() }.into()),
+        (None, None) => {}
     }
+    use_threads(arguments.threads)?;
     let stop = stop_on_interrupt()?;
     let progress = TerminalProgress::new(arguments.quiet);
     let outcome = run(&plan, &RunContext::new(&progress, &stop))?;
@@ -24,6 +28,38 @@ pub(super) fn run_study(arguments: RunArguments) -> anyhow::Result<Exit> {
         print(&result_lines(&outcome))?;
     }
     Ok(outcome.status.into())
+}
+
+/// Runs a cohort and prints what became of each patient.
+pub(super) fn run_cohort(arguments: CohortArguments) -> anyhow::Result<Exit> {
+    let CohortArguments { file, output, threads, shard, quiet } = arguments;
+    let cohort = Cohort::new(&Config::read(&file, Overrides { output, ..Overrides::default() })?)?;
+    use_threads(threads)?;
+    let stop = stop_on_interrupt()?;
+    let outcome = cohort.run(shard, &RunContext::new(&TerminalProgress::new(quiet), &stop))?;
+    if !quiet {
+        print(&result_lines(&outcome))?;
+    }
+    Ok(outcome.status.into())
+}
+
+/// Merges the parts of a study or a cohort and prints what it found.
+pub(super) fn merge_parts(arguments: StudyArguments) -> anyhow::Result<Exit> {
+    let (file, overrides) = arguments.into_parts();
+    let config = Config::read(&file, overrides)?;
+    let outcome = if Cohort::is_one(&config) {
+        Cohort::new(&config)?.merge()?
+    } else {
+        merge(&Plan::new(&config)?, &RunContext::new(&TerminalProgress::new(false), &AtomicBool::new(false)))?
+    };
+    print(&result_lines(&outcome))?;
+    Ok(outcome.status.into())
+}
+
+/// Starts as many threads as were asked for; all cores where none were.
+fn use_threads(threads: Option<u16>) -> anyhow::Result<()> {
+    let Some(threads) = threads else { return Ok(()) };
+    rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global().context("cannot start the threads")
 }
 
 fn result_lines(outcome: &Outcome) -> String {

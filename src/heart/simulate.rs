@@ -41,6 +41,10 @@ pub struct Trajectory {
     pub frames: Vec<FrameState>,
     /// Steps that were taken in parts because the whole did not converge.
     pub divided_step_count: usize,
+    /// Rounds of the volume linearisation in all steps together; not counted where tangents are carried along.
+    pub round_count: usize,
+    /// Largest difference that a step left between a cavity's volume and what its valves let through, mL; likewise.
+    pub volume_defect_ml: f64,
     /// Where it ended.
     pub last: HeartState,
     /// Whether the observer stopped it before its end.
@@ -80,8 +84,9 @@ pub fn simulate_from(
         if is_stopped {
             break;
         }
-        let StepOutcome { state, substep_count, .. } = model.step(recording.last(), loads, &mut workspace)?;
+        let StepOutcome { state, round_count, substep_count, volume_defect_ml, .. } = model.step(recording.last(), loads, &mut workspace)?;
         recording.add(state, substep_count);
+        recording.count(round_count, volume_defect_ml);
         is_stopped = recording.show(observer);
     }
     Ok(recording.into_trajectory(is_stopped))
@@ -104,7 +109,15 @@ impl<'a> Recording<'a> {
         let tolerance_s = 1e-9 * step_s;
         let first = plan.frame_times_s.partition_point(|&t| t < start.time_s - tolerance_s);
         let curves = vec![start.curve_row()];
-        let trajectory = Trajectory { curves, frames: Vec::new(), divided_step_count: 0, last: start, stopped: false };
+        let trajectory = Trajectory {
+            curves,
+            frames: Vec::new(),
+            divided_step_count: 0,
+            round_count: 0,
+            volume_defect_ml: 0.0,
+            last: start,
+            stopped: false,
+        };
         Self { trajectory, coming_frames_s: &plan.frame_times_s[first..], tolerance_s }
     }
 
@@ -122,6 +135,12 @@ impl<'a> Recording<'a> {
         }
         trajectory.curves.push(next.curve_row());
         trajectory.last = next;
+    }
+
+    /// Counts what a step took and left.
+    fn count(&mut self, round_count: usize, volume_defect_ml: f64) {
+        self.trajectory.round_count += round_count;
+        self.trajectory.volume_defect_ml = self.trajectory.volume_defect_ml.max(volume_defect_ml);
     }
 
     /// Shows the last state to an observer, and says whether it wants to stop.

@@ -21,6 +21,14 @@ pub enum ReportError {
         /// The system's reason.
         source: std::io::Error,
     },
+    /// A file that an earlier run left cannot be read.
+    #[error("cannot read {}, which an earlier run left; make it readable, or choose another folder with -o DIR", file.display())]
+    Read {
+        /// The file.
+        file: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
     /// A figure cannot be drawn.
     #[error("cannot draw {figure}: {reason}")]
     Figure {

@@ -1,9 +1,10 @@
 //! Tables as CSV and records as JSON. The column names of the rows here are a contract with those who read results.
 
+use std::collections::BTreeMap;
 use std::io;
 use std::path::Path;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::{ReportError, write_atomically};
 
@@ -115,6 +116,46 @@ pub fn write_json<T: Serialize>(file: &Path, record: &T) -> Result<(), ReportErr
     })
 }
 
+/// What a row of `parameters.csv` says was found.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct FoundParameter {
+    /// Name with its unit.
+    pub parameter: String,
+    /// Region it holds for.
+    pub region: String,
+    /// Value found.
+    pub value: f64,
+    /// Lower end of the 95 % interval.
+    pub interval_low: Option<f64>,
+    /// Upper end of the 95 % interval.
+    pub interval_high: Option<f64>,
+}
+
+/// Reads the `parameters.csv` that an earlier run left.
+///
+/// # Errors
+/// [`ReportError::Read`].
+pub fn read_parameters(file: &Path) -> Result<Vec<FoundParameter>, ReportError> {
+    let failed = |error: csv::Error| ReportError::Read { file: file.to_path_buf(), source: io::Error::other(error) };
+    csv::Reader::from_path(file).map_err(failed)?.deserialize().collect::<Result<_, _>>().map_err(failed)
+}
+
+/// Reads the numbers of a JSON record that an earlier run left; those of inner records as `outer.inner`.
+///
+/// # Errors
+/// [`ReportError::Read`].
+pub fn read_json_numbers(file: &Path) -> Result<BTreeMap<String, f64>, ReportError> {
+    let failed = |source| ReportError::Read { file: file.to_path_buf(), source };
+    let text = std::fs::read_to_string(file).map_err(failed)?;
+    let record: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&text).map_err(|error| failed(error.into()))?;
+    let mut numbers = BTreeMap::new();
+    for (name, value) in &record {
+        let inner = value.as_object().into_iter().flatten().map(|(inner, value)| (format!("{name}.{inner}"), value));
+        numbers.extend(inner.chain([(name.clone(), value)]).filter_map(|(name, value)| Some((name, value.as_f64()?))));
+    }
+    Ok(numbers)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -140,11 +181,25 @@ mod tests {
             prior_sd: None,
         };
         write_csv(&file, &[row]).unwrap();
+        let found = &read_parameters(&file).unwrap()[0];
+        assert_eq!((found.parameter.as_str(), found.region.as_str()), ("contraction_peak_lv_kpa", "heart"));
+        assert_eq!((found.value, found.interval_low, found.interval_high), (101.5, Some(96.6), None));
         assert_eq!(
             std::fs::read_to_string(&file).unwrap(),
             "parameter,unit,region,initial,value,lower,upper,sd,interval_low,interval_high,at_bound,state,prior_mean,prior_sd\n\
              contraction_peak_lv_kpa,kPa,heart,90.0,101.5,30.0,200.0,2.5,96.6,,false,free,,\n"
         );
+    }
+
+    #[test]
+    fn numbers_of_a_record_are_read_with_their_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("summary.json");
+        std::fs::write(&file, r#"{"a": 0.5, "b": {"c": 2, "d": "no"}, "e": null, "f": [1]}"#).unwrap();
+        let numbers = read_json_numbers(&file).unwrap();
+        assert_eq!(numbers.into_iter().collect::<Vec<_>>(), [("a".to_string(), 0.5), ("b.c".to_string(), 2.0)]);
+        std::fs::write(&file, "{").unwrap();
+        assert!(read_json_numbers(&file).unwrap_err().to_string().contains("summary.json, which an earlier run left"));
     }
 
     #[test]

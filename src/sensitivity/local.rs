@@ -51,41 +51,46 @@ impl LocalDesign {
 
     pub(super) fn indices(&self, values: &[f64]) -> Vec<Index> {
         let inputs = self.inputs.iter().enumerate();
-        inputs.filter_map(|(number, input)| Some(self.read(number, input, self.slope(number, input, values)?, values[0]))).flatten().collect()
+        inputs
+            .filter_map(|(number, input)| Some(self.read(number, input, &self.tangent(number, input, values)?, values[0])))
+            .flatten()
+            .collect()
     }
 
-    /// The slope, the slopes to either side, and how many of these are known.
-    fn slope(&self, number: usize, input: &ScreeningInput, values: &[f64]) -> Option<(f64, Option<(f64, f64)>, usize)> {
+    fn tangent(&self, number: usize, input: &ScreeningInput, values: &[f64]) -> Option<Tangent> {
         let at = |point: usize| (input.value(self.points[point][number]), values[point]);
         let slope = |(x0, y0): (f64, f64), (x1, y1): (f64, f64)| Some((y1 - y0) / (x1 - x0)).filter(|slope| slope.is_finite());
         let (base, below, above) = (at(0), at(1 + 2 * number), at(2 + 2 * number));
-        let sides = (slope(below, base), slope(base, above));
-        let either = sides.0.zip(sides.1).map(|(a, b)| (a.min(b), a.max(b)));
-        let count = usize::from(sides.0.is_some()) + usize::from(sides.1.is_some());
-        let central = slope(below, above).or(sides.0).or(sides.1)?;
-        Some((central, either, count.max(1)))
+        let sides = [slope(below, base), slope(base, above)];
+        let either = sides[0].zip(sides[1]).map(|(a, b)| (a.min(b), a.max(b)));
+        let slope = slope(below, above).or(sides[0]).or(sides[1])?;
+        Some(Tangent { slope, either, count: sides.iter().flatten().count().max(1) })
     }
 
-    fn read(
-        &self,
-        number: usize,
-        input: &ScreeningInput,
-        (slope, either, count): (f64, Option<(f64, f64)>, usize),
-        base: f64,
-    ) -> Vec<Index> {
+    fn read(&self, number: usize, input: &ScreeningInput, tangent: &Tangent, base: f64) -> Vec<Index> {
         let scaled = |measure, factor: f64| Index {
             measure,
             input: number,
             partner: None,
-            value: slope * factor,
-            interval: either.map(|(low, high)| (low * factor, high * factor)).map(|(a, b)| (a.min(b), a.max(b))),
-            sample_count: count,
+            value: tangent.slope * factor,
+            interval: tangent.either.map(|(low, high)| (low * factor, high * factor)).map(|(a, b)| (a.min(b), a.max(b))),
+            sample_count: tangent.count,
         };
         let elasticity = input.value(self.points[0][number]) / base;
         let mut indices = vec![scaled(Measure::Slope, 1.0), scaled(Measure::RangeEffect, input.value(1.0) - input.value(0.0))];
         indices.extend(elasticity.is_finite().then(|| scaled(Measure::Elasticity, elasticity)));
         indices
     }
+}
+
+/// How an output changes with one input, in their units.
+struct Tangent {
+    /// Central slope, or the one that is known.
+    slope: f64,
+    /// The slopes to either side, the lower one first.
+    either: Option<(f64, f64)>,
+    /// How many of these are known.
+    count: usize,
 }
 
 #[cfg(test)]

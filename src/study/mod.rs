@@ -1,18 +1,23 @@
 //! A study file as written, the plan it means, and what is known of a run while it runs and when it ends.
 
 mod cine;
+mod cohort;
 mod config;
 mod drawn_heart;
 mod error;
+mod figure;
 mod follow;
+mod identity;
 mod outcome;
 pub mod plan;
 mod progress;
 mod provenance;
 mod reader;
 mod run;
+mod shard;
 mod volumes;
 
+pub use cohort::{Cohort, CohortPatient};
 pub use config::{Config, Overrides};
 pub use error::{Problem, StudyError};
 pub use follow::{FollowError, Followed, follow};
@@ -21,5 +26,6 @@ pub use plan::{Kind, Plan};
 pub use progress::{Progress, RunContext, Silent};
 pub use provenance::Provenance;
 pub use reader::Choice;
-pub use run::{MeshReport, PartVolume, RunError, SurfaceAgreement, mesh_heart, run};
+pub use run::{MeshReport, PartVolume, RunError, SurfaceAgreement, merge, mesh_heart, run};
+pub use shard::Shard;
 pub use volumes::{CurveSource, measure_volumes};

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::Config;
+use crate::report::fingerprint;
 
 /// What a result came from.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -30,26 +31,8 @@ impl Provenance {
             version: env!("CARGO_PKG_VERSION"),
             revision: option_env!("CARDIOTWIN_REVISION"),
             study_file: folder.map_or_else(|| name.clone(), |folder| format!("{}/{name}", folder.to_string_lossy())),
-            study_hash: format!("{:016x}", fnv1a(config.text.as_bytes())),
+            study_hash: format!("{:016x}", fingerprint(config.text.as_bytes())),
             settings: config.overrides.settings.clone(),
         }
-    }
-}
-
-/// The 64-bit FNV-1a hash, which, unlike the standard library's, is the same for every build.
-fn fnv1a(bytes: &[u8]) -> u64 {
-    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Published test vectors of the FNV authors.
-    #[test]
-    fn hash_is_fnv1a() {
-        assert_eq!(fnv1a(b""), 0xcbf2_9ce4_8422_2325);
-        assert_eq!(fnv1a(b"a"), 0xaf63_dc4c_8601_ec8c);
-        assert_eq!(fnv1a(b"foobar"), 0x8594_4171_f739_67e8);
     }
 }

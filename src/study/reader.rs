@@ -194,6 +194,27 @@ impl<'a> TableReader<'a> {
         numbers
     }
 
+    /// A list of texts, if it is written.
+    pub(super) fn texts(&self, key: &'static str) -> Option<Vec<String>> {
+        let text = |value: &Value| value.as_str().map(str::to_string);
+        let texts = self.value(key)?.as_array().and_then(|list| list.iter().map(text).collect());
+        if texts.is_none() {
+            self.problem(key, "is not a list of names", "write names in quotes and brackets, separated by commas");
+        }
+        texts
+    }
+
+    /// The keys and values of the table under a key, whatever they are, as `table.key=value`.
+    pub(super) fn settings(&self, key: &'static str) -> Vec<String> {
+        let Some(value) = self.value(key) else { return Vec::new() };
+        if !value.is_table() {
+            self.problem(key, "is not a table", "write keys of the study and their values, { \"table.key\" = value }");
+        }
+        let mut settings = Vec::new();
+        flatten(None, value, &mut settings);
+        settings
+    }
+
     /// An existing file of the data folder, if it is written.
     pub(super) fn data_file(&self, key: &'static str) -> Option<PathBuf> {
         let path = self.reader.config.data_folder().join(self.text(key)?);
@@ -348,6 +369,20 @@ impl<'a> TableReader<'a> {
 /// The parts of a list as people would say them.
 fn words_of(parts: &[Part]) -> &'static str {
     if parts.contains(&Part::Scar) { "lv, rv, scar and the segments" } else { "the segments" }
+}
+
+/// `table.key=value` for every value of nested tables.
+fn flatten(name: Option<&str>, value: &Value, settings: &mut Vec<String>) {
+    match (name, value.as_table()) {
+        (_, Some(table)) => {
+            for (key, inner) in table {
+                let full = name.map_or_else(|| key.clone(), |name| format!("{name}.{key}"));
+                flatten(Some(&full), inner, settings);
+            }
+        }
+        (Some(name), None) => settings.push(format!("{name}={value}")),
+        (None, None) => {}
+    }
 }
 
 /// The known key that differs by few letters.

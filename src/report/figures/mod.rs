@@ -5,6 +5,7 @@ mod curves;
 mod loops;
 mod montage;
 mod parameters;
+mod ranking;
 mod strains;
 mod style;
 mod surface;
@@ -16,5 +17,6 @@ pub use curves::{
 pub use loops::{LoopPoint, PressureVolumeLoop, pressure_volume_loop};
 pub use montage::{Contour, Montage, MontagePanel, slice_montage};
 pub use parameters::{ParameterInterval, parameter_intervals};
+pub use ranking::{RankedInput, ranking};
 pub use strains::{StrainCurves, StrainPanel, strain_curves};
 pub use surface::{SurfaceMap, SurfaceView, surface_map};

@@ -10,6 +10,7 @@ mod model;
 mod output;
 mod personalisation;
 mod phantom;
+mod sensitivity;
 mod tracking;
 
 use std::collections::BTreeSet;
@@ -25,6 +26,7 @@ pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite, SitePlan, TimeS
 pub use output::OutputPlan;
 pub use personalisation::{FreeParameter, PersonalisationPlan, Regions, VolumeData};
 pub use phantom::{ContractionPlan, ModelAnatomy, PhantomPlan};
+pub use sensitivity::{SensitivityMethod, SensitivityPlan};
 pub use tracking::{BaseMode, GainChoice, TrackingPlan};
 
 use super::provenance::Provenance;
@@ -63,6 +65,8 @@ words! {
         CompareBases = "compare_bases",
         /// Tracks, then finds parameters from the motion.
         Personalise = "personalise",
+        /// Runs the heart at many points of its parameters: which of them matter.
+        Sensitivity = "sensitivity",
     }
 }
 
@@ -89,6 +93,8 @@ pub struct Plan {
     pub comparison: Option<ComparisonPlan>,
     /// What is to be found; none unless the kind is [`Kind::Personalise`].
     pub personalisation: Option<PersonalisationPlan>,
+    /// Which parameters are moved; none unless the kind is [`Kind::Sensitivity`].
+    pub sensitivity: Option<SensitivityPlan>,
     /// Where results go.
     pub output: OutputPlan,
     /// What was asked for, for the record.
@@ -158,13 +164,22 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
     let tracking = tracking::read(root.table("tracking"), &mut parameters, &mut written);
     let comparison = comparison::read(root.table("comparison"));
     let personalisation = personalisation::read(root.table("personalisation"), &parameters);
+    let sensitivity = sensitivity::read(config, root.table("sensitivity"), &parameters);
     let output = output::read(config, root.table("output"));
 
     let images = images_of(&root, kind, &anatomy, images, phantom);
     if let Some(ImageSource::Phantom(phantom)) = &images {
         check_tolerances(&root, phantom, personalisation.as_ref());
     }
-    if matches!((kind, simulation.beats), (Some(Kind::Phantom | Kind::Track | Kind::Personalise), Beats::Periodic(_))) {
+    if let Some(sensitivity) = &sensitivity {
+        sensitivity::check(&root, sensitivity, images.as_ref());
+    }
+    let follows_images = match kind {
+        Some(Kind::Phantom | Kind::Track | Kind::Personalise) => true,
+        Some(Kind::Sensitivity) => images.is_some(),
+        _ => false,
+    };
+    if follows_images && matches!(simulation.beats, Beats::Periodic(_)) {
         root.problem("simulation.beats", "needs a heart without images", "write a number of beats");
     }
     if comparison.is_some() && kind != Some(Kind::CompareSchemes) {
@@ -174,8 +189,17 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
         (Some(Kind::Personalise), None) => {
             root.missing("personalisation", "[personalisation] with a [[personalisation.parameter]] for each free parameter")
         }
-        (Some(Kind::Mesh | Kind::Simulate | Kind::Phantom | Kind::Track | Kind::CompareSchemes | Kind::CompareBases), Some(_)) => {
+        (Some(kind), Some(_)) if kind != Kind::Personalise => {
             root.problem("personalisation", "is of no use here", "write kind = \"personalise\", or take the table away")
+        }
+        _ => {}
+    }
+    match (kind, root.has("sensitivity")) {
+        (Some(Kind::Sensitivity), false) => {
+            root.missing("sensitivity", "[sensitivity] with outputs and a [[sensitivity.input]] for each parameter that is moved")
+        }
+        (Some(kind), true) if kind != Kind::Sensitivity => {
+            root.problem("sensitivity", "is of no use here", "write kind = \"sensitivity\", or take the table away")
         }
         _ => {}
     }
@@ -191,6 +215,7 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
         tracking,
         comparison,
         personalisation,
+        sensitivity,
         output,
         provenance: Provenance::new(config),
     })

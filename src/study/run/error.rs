@@ -62,6 +62,21 @@ pub enum RunError {
     /// A personalisation without images or free parameters.
     #[error("there is nothing to fit: the study needs images and free parameters")]
     NothingToFit,
+    /// A file that the study reads.
+    #[error("cannot read {}, which the study names", file.display())]
+    Input { file: PathBuf, source: std::io::Error },
+    /// Runs of another study where those of this one should stand.
+    #[error(
+        "{} holds the runs of another study, or of this one before it was changed; move it away, or choose another folder with -o DIR",
+        file.display()
+    )]
+    ForeignRuns { file: PathBuf },
+    /// Parts of a study that has none.
+    #[error("a study of kind \"{kind}\" is not run in parts; only \"sensitivity\" is")]
+    NothingToMerge { kind: &'static str },
+    /// Threads that the system does not give.
+    #[error("cannot start threads: {reason}; give fewer with --threads N")]
+    Threads { reason: String },
     /// The run was stopped before it had anything to write.
     #[error("stopped before there was a result to write")]
     Stopped,

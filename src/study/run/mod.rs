@@ -22,6 +22,8 @@ mod phantom;
 mod pictures;
 mod recorded_base;
 mod recovery;
+mod sensitivity;
+mod side_by_side;
 mod simulate;
 mod slice_panels;
 mod start;
@@ -32,8 +34,10 @@ mod wall;
 
 pub use error::RunError;
 pub use mesh_only::{MeshReport, PartVolume, SurfaceAgreement, mesh_heart};
+pub(super) use side_by_side::side_by_side;
 
 use super::plan::Kind;
+use super::reader::Choice;
 use super::{Outcome, Plan, RunContext};
 use crate::report::create_folder;
 
@@ -51,5 +55,16 @@ pub fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
         Kind::CompareBases => compare_bases::run(plan, context),
         Kind::CompareSchemes => compare_schemes::run(plan, context),
         Kind::Personalise => personalise::run(plan, context),
+        Kind::Sensitivity => sensitivity::run(plan, context),
     }
+}
+
+/// Gathers what the parts of a study left, and reads the whole.
+///
+/// # Errors
+/// [`RunError::NothingToMerge`] for a study that is not run in parts; otherwise as [`run`].
+pub fn merge(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
+    let wanted = plan.sensitivity.as_ref().ok_or(RunError::NothingToMerge { kind: plan.kind.word() })?;
+    create_folder(&plan.output.directory)?;
+    sensitivity::merge(plan, wanted, context)
 }

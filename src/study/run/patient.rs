@@ -136,7 +136,11 @@ impl Patient {
 
     /// The clock of `beats` beats from the reference frame.
     pub(super) fn clock(&self, beats: usize) -> Clock {
-        let period_s = self.parameters[Parameter::HeartPeriod];
+        self.clock_at(self.parameters[Parameter::HeartPeriod], beats)
+    }
+
+    /// The same for another heart period; images keep their times.
+    pub(super) fn clock_at(&self, period_s: f64, beats: usize) -> Clock {
         match &self.images {
             Some(images) => Clock::new(images.reference_frame, images.cine.times_s(), period_s, beats),
             None => {

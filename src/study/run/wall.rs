@@ -44,7 +44,7 @@ impl WallSummary {
 
 /// A row of `segments.csv`: one AHA segment.
 #[derive(Debug, Clone, Serialize)]
-struct SegmentRow {
+pub(super) struct SegmentRow {
     segment: u8,
     /// Mean of the depolarisation times.
     activation_time_s: f64,
@@ -70,8 +70,8 @@ struct StrainRow {
     strain_radial: f64,
 }
 
-/// Writes `segments.csv` and `strains.csv`.
-pub(super) fn write_wall(folder: &Path, model: &HeartModel, beat: &BeatDeformation) -> Result<(), RunError> {
+/// The rows of `segments.csv`.
+pub(super) fn segment_rows(model: &HeartModel, beat: &BeatDeformation) -> Vec<SegmentRow> {
     let activation_s = segment_activation_s(model);
     let row = |at_end: &crate::heart::SegmentDeformation| {
         let peak = beat.peak_strain(at_end.segment)?;
@@ -89,8 +89,12 @@ pub(super) fn write_wall(folder: &Path, model: &HeartModel, beat: &BeatDeformati
             thickening: at_end.relative_thickening(),
         })
     };
-    let segments: Vec<SegmentRow> = beat.end_systole.segments.iter().filter_map(row).collect();
-    write_csv(&folder.join("segments.csv"), &segments)?;
+    beat.end_systole.segments.iter().filter_map(row).collect()
+}
+
+/// Writes `segments.csv` and `strains.csv`.
+pub(super) fn write_wall(folder: &Path, model: &HeartModel, beat: &BeatDeformation) -> Result<(), RunError> {
+    write_csv(&folder.join("segments.csv"), &segment_rows(model, beat))?;
     let strains = beat.times_s.iter().zip(&beat.frames).flat_map(|(&time_s, frame)| {
         frame.segments.iter().map(move |segment| StrainRow {
             time_s,

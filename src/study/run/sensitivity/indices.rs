@@ -1,0 +1,166 @@
+//! What the rows of a sensitivity study say: `indices.csv`, a figure of every output, and `summary.json`.
+
+use std::time::Instant;
+
+use serde::Serialize;
+
+use super::RunError;
+use super::records::Records;
+use crate::report::figures::{RankedInput, ranking};
+use crate::report::{write_csv, write_json};
+use crate::sensitivity::{Index, Measure};
+use crate::study::figure::unit_of;
+use crate::study::plan::{SensitivityMethod, SensitivityPlan};
+use crate::study::{Kind, Outcome, Plan, Provenance, Status};
+
+/// A row of `indices.csv`.
+#[derive(Debug, Clone, Serialize)]
+struct IndexRow<'a> {
+    output: &'a str,
+    measure: &'static str,
+    input: &'static str,
+    partner: Option<&'static str>,
+    value: f64,
+    interval_low: Option<f64>,
+    interval_high: Option<f64>,
+    unit: String,
+    sample_count: usize,
+}
+
+#[derive(Debug, Serialize)]
+struct Summary<'a> {
+    kind: Kind,
+    status: Status,
+    method: SensitivityMethod,
+    run_count: usize,
+    failed_run_count: usize,
+    /// The first failure in words.
+    first_failure: Option<&'a str>,
+    /// Outputs that no index could be read of, with the reason.
+    outputs_without_indices: Vec<String>,
+    /// Time of all runs added up, as far as `times.csv` knows it.
+    run_time_s: f64,
+    wall_time_s: f64,
+    provenance: &'a Provenance,
+}
+
+/// Reads the indices of every output and leaves them.
+pub(super) fn leave_indices(plan: &Plan, wanted: &SensitivityPlan, records: &Records, started: Instant) -> Result<Outcome, RunError> {
+    let folder = &plan.output.directory;
+    let point_count = wanted.design.points().len();
+    let (mut rows, mut without, mut headlines) = (Vec::new(), Vec::new(), Vec::new());
+    for (number, output) in wanted.outputs.iter().enumerate() {
+        match wanted.design.indices(&records.response(number, point_count)) {
+            Ok(indices) => {
+                rows.extend(indices.iter().map(|index| row(wanted, output, index)));
+                headlines.extend(headline(wanted, output, &indices));
+                if plan.output.figures {
+                    draw(plan, wanted, output, &indices)?;
+                }
+            }
+            Err(error) => without.push(format!("{output}: {error}")),
+        }
+    }
+    write_csv(&folder.join("indices.csv"), &rows)?;
+    let (failed_run_count, first_failure) = records.failures();
+    if failed_run_count > 0 {
+        headlines.push(format!("{failed_run_count} of {point_count} runs failed; the indices rest on the others"));
+    }
+    headlines.extend(without.iter().cloned());
+    let status = if rows.is_empty() { Status::Failed } else { Status::Converged };
+    let summary = Summary {
+        kind: plan.kind,
+        status,
+        method: wanted.method,
+        run_count: point_count,
+        failed_run_count,
+        first_failure,
+        outputs_without_indices: without,
+        run_time_s: records.wall_time_s(),
+        wall_time_s: started.elapsed().as_secs_f64(),
+        provenance: &plan.provenance,
+    };
+    write_json(&folder.join("summary.json"), &summary)?;
+    Ok(Outcome { status, directory: folder.clone(), headlines })
+}
+
+/// The word of a measure in `indices.csv`.
+fn word(measure: Measure) -> &'static str {
+    match measure {
+        Measure::Slope => "slope",
+        Measure::Elasticity => "elasticity",
+        Measure::RangeEffect => "range_effect",
+        Measure::MeanEffect => "mean_effect",
+        Measure::MeanAbsoluteEffect => "mean_absolute_effect",
+        Measure::EffectSpread => "effect_sd",
+        Measure::FirstOrder => "first_order",
+        Measure::SecondOrder => "second_order",
+        Measure::Total => "total",
+    }
+}
+
+fn row<'a>(wanted: &SensitivityPlan, output: &'a str, index: &Index) -> IndexRow<'a> {
+    let spec = |input: usize| wanted.inputs[input].parameter().spec();
+    let unit = match index.measure {
+        Measure::Slope => format!("{}/({})", unit_of(output), spec(index.input).unit),
+        Measure::RangeEffect | Measure::MeanEffect | Measure::MeanAbsoluteEffect | Measure::EffectSpread => unit_of(output).into(),
+        Measure::Elasticity | Measure::FirstOrder | Measure::SecondOrder | Measure::Total => "1".into(),
+    };
+    IndexRow {
+        output,
+        measure: word(index.measure),
+        input: spec(index.input).name,
+        partner: index.partner.map(|partner| spec(partner).name),
+        value: index.value,
+        interval_low: index.interval.map(|(low, _)| low),
+        interval_high: index.interval.map(|(_, high)| high),
+        unit,
+        sample_count: index.sample_count,
+    }
+}
+
+/// The measure that ranks the inputs, and one that is shown beside it.
+fn ranking_measures(method: SensitivityMethod) -> (Measure, &'static str, Option<(Measure, &'static str)>) {
+    match method {
+        SensitivityMethod::Local => (Measure::RangeEffect, "effect of the range, by the tangent", None),
+        SensitivityMethod::Morris => {
+            (Measure::MeanAbsoluteEffect, "mean effect of the range, by size", Some((Measure::EffectSpread, "its spread")))
+        }
+        SensitivityMethod::Sobol => (Measure::Total, "total share of the variance", Some((Measure::FirstOrder, "share alone"))),
+    }
+}
+
+/// Inputs in the order of what they do, most first.
+fn ranked(indices: &[Index], measure: Measure) -> Vec<&Index> {
+    let mut ranked: Vec<&Index> = indices.iter().filter(|index| index.measure == measure).collect();
+    ranked.sort_by(|a, b| b.value.abs().total_cmp(&a.value.abs()));
+    ranked
+}
+
+fn headline(wanted: &SensitivityPlan, output: &str, indices: &[Index]) -> Option<String> {
+    /// Inputs that are named.
+    const NAMED: usize = 3;
+    let (measure, words, _) = ranking_measures(wanted.method);
+    let name = |index: &&Index| format!("{} {:.3}", wanted.inputs[index.input].parameter().spec().name, index.value);
+    let most: Vec<String> = ranked(indices, measure).iter().take(NAMED).map(name).collect();
+    (!most.is_empty()).then(|| format!("{output}: {} ({words})", most.join(", ")))
+}
+
+fn draw(plan: &Plan, wanted: &SensitivityPlan, output: &str, indices: &[Index]) -> Result<(), RunError> {
+    let (measure, words, beside) = ranking_measures(wanted.method);
+    let other = |index: &Index| {
+        let (measure, _) = beside?;
+        indices.iter().find(|other| other.measure == measure && other.input == index.input).map(|other| other.value)
+    };
+    let input = |index: &&Index| RankedInput {
+        name: wanted.inputs[index.input].parameter().spec().name.into(),
+        value: index.value,
+        interval: index.interval,
+        beside: other(index),
+    };
+    let inputs: Vec<RankedInput> = ranked(indices, measure).iter().map(input).collect();
+    let unit = if wanted.method == SensitivityMethod::Sobol { "1" } else { unit_of(output) };
+    let quantity = if unit == "1" { words.to_string() } else { format!("{words} ({unit})") };
+    let file = plan.output.directory.join(format!("sensitivity_{output}.png"));
+    Ok(ranking(&file, output, &quantity, beside.map(|(_, words)| words), &inputs)?)
+}
