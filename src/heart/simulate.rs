@@ -84,7 +84,8 @@ pub fn simulate_from(
         if is_stopped {
             break;
         }
-        let StepOutcome { state, round_count, substep_count, volume_defect_ml, .. } = model.step(recording.last(), loads, &mut workspace)?;
+        let StepOutcome { state, round_count, substep_count, volume_defect_ml, .. } =
+            model.step(recording.last(), loads, &mut workspace)?;
         recording.add(state, substep_count);
         recording.count(round_count, volume_defect_ml);
         is_stopped = recording.show(observer);
