@@ -41,7 +41,7 @@ pub struct Trajectory {
     pub frames: Vec<FrameState>,
     /// Steps that were taken in parts because the whole did not converge.
     pub divided_step_count: usize,
-    /// Rounds of the volume linearisation in all steps together; not counted where tangents are carried along.
+    /// Rounds of the volume linearisation in all steps together; zero in a tangent.
     pub round_count: usize,
     /// Largest difference that a step left between a cavity's volume and what its valves let through, mL; likewise.
     pub volume_defect_ml: f64,
@@ -78,19 +78,19 @@ pub fn simulate_from(
 ) -> Result<Trajectory, StepError> {
     let mut workspace = model.workspace();
     let step_count = step_count(&start, plan, model.settings().step_s);
-    let mut recording = Recording::new(start, plan, model.settings().step_s);
-    let mut is_stopped = recording.show(observer);
+    let (mut recording, mut last) = (Recording::new(&start, plan, model.settings().step_s), start);
+    let mut is_stopped = recording.show(&last, observer);
     for _ in 0..step_count {
         if is_stopped {
             break;
         }
-        let StepOutcome { state, round_count, substep_count, volume_defect_ml, .. } =
-            model.step(recording.last(), loads, &mut workspace)?;
-        recording.add(state, substep_count);
-        recording.count(round_count, volume_defect_ml);
-        is_stopped = recording.show(observer);
+        let outcome = model.step(&last, loads, &mut workspace)?;
+        recording.count(&outcome);
+        recording.add(&last, &outcome.state);
+        last = outcome.state;
+        is_stopped = recording.show(&last, observer);
     }
-    Ok(recording.into_trajectory(is_stopped))
+    Ok(recording.into_trajectory(last, is_stopped))
 }
 
 /// Steps from a state to the end of a plan.
@@ -100,57 +100,55 @@ pub(super) fn step_count(start: &HeartState, plan: &SimulationPlan, step_s: f64)
 
 /// A trajectory that grows step by step; its frames are taken while it does.
 pub(super) struct Recording<'a> {
-    trajectory: Trajectory,
+    curves: Vec<CurveRow>,
+    frames: Vec<FrameState>,
+    divided_step_count: usize,
+    round_count: usize,
+    volume_defect_ml: f64,
     coming_frames_s: &'a [f64],
     tolerance_s: f64,
 }
 
 impl<'a> Recording<'a> {
-    pub(super) fn new(start: HeartState, plan: &'a SimulationPlan, step_s: f64) -> Self {
+    pub(super) fn new(start: &HeartState, plan: &'a SimulationPlan, step_s: f64) -> Self {
         let tolerance_s = 1e-9 * step_s;
         let first = plan.frame_times_s.partition_point(|&t| t < start.time_s - tolerance_s);
-        let curves = vec![start.curve_row()];
-        let trajectory = Trajectory {
-            curves,
+        Self {
+            curves: vec![start.curve_row()],
             frames: Vec::new(),
             divided_step_count: 0,
             round_count: 0,
             volume_defect_ml: 0.0,
-            last: start,
-            stopped: false,
-        };
-        Self { trajectory, coming_frames_s: &plan.frame_times_s[first..], tolerance_s }
-    }
-
-    pub(super) fn last(&self) -> &HeartState {
-        &self.trajectory.last
-    }
-
-    /// Adds the state at the end of a step that was taken in so many parts.
-    pub(super) fn add(&mut self, next: HeartState, substep_count: usize) {
-        let Self { trajectory, coming_frames_s, tolerance_s } = self;
-        trajectory.divided_step_count += usize::from(substep_count > 1);
-        while let Some((&time_s, later)) = coming_frames_s.split_first().filter(|(time_s, _)| **time_s <= next.time_s + *tolerance_s) {
-            trajectory.frames.push(FrameState::between(&trajectory.last, &next, time_s));
-            *coming_frames_s = later;
+            coming_frames_s: &plan.frame_times_s[first..],
+            tolerance_s,
         }
-        trajectory.curves.push(next.curve_row());
-        trajectory.last = next;
+    }
+
+    /// Adds a step.
+    pub(super) fn add(&mut self, before: &HeartState, after: &HeartState) {
+        let reached_s = after.time_s + self.tolerance_s;
+        while let Some((&time_s, later)) = self.coming_frames_s.split_first().filter(|(time_s, _)| **time_s <= reached_s) {
+            self.frames.push(FrameState::between(before, after, time_s));
+            self.coming_frames_s = later;
+        }
+        self.curves.push(after.curve_row());
     }
 
     /// Counts what a step took and left.
-    fn count(&mut self, round_count: usize, volume_defect_ml: f64) {
-        self.trajectory.round_count += round_count;
-        self.trajectory.volume_defect_ml = self.trajectory.volume_defect_ml.max(volume_defect_ml);
+    pub(super) fn count(&mut self, step: &StepOutcome) {
+        self.divided_step_count += usize::from(step.substep_count > 1);
+        self.round_count += step.round_count;
+        self.volume_defect_ml = self.volume_defect_ml.max(step.volume_defect_ml);
     }
 
     /// Shows the last state to an observer, and says whether it wants to stop.
-    pub(super) fn show(&self, observer: &mut dyn FnMut(&HeartState, &CurveRow) -> ControlFlow<()>) -> bool {
-        self.trajectory.curves.last().is_some_and(|row| observer(&self.trajectory.last, row).is_break())
+    pub(super) fn show(&self, last: &HeartState, observer: &mut dyn FnMut(&HeartState, &CurveRow) -> ControlFlow<()>) -> bool {
+        self.curves.last().is_some_and(|row| observer(last, row).is_break())
     }
 
-    pub(super) fn into_trajectory(self, stopped: bool) -> Trajectory {
-        Trajectory { stopped, ..self.trajectory }
+    pub(super) fn into_trajectory(self, last: HeartState, stopped: bool) -> Trajectory {
+        let Self { curves, frames, divided_step_count, round_count, volume_defect_ml, .. } = self;
+        Trajectory { curves, frames, divided_step_count, round_count, volume_defect_ml, last, stopped }
     }
 }
 

@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::newton::NewtonWorkspace;
 use super::substeps::FinerHeart;
-use super::{HeartModel, HeartState, PressureLoad, StepError, VentricleState};
+use super::{HeartModel, HeartState, ModelSettings, PressureLoad, StepError, VentricleState};
 use crate::circulation::{CavityResponse, CirculationError, ValveProblem, VentricleFlow, VentriclePorts};
 use crate::mechanics::{Kinematics, MechanicsError, SolveReport, SolveSettings, StepLoad, StepSolver, StepSystem};
 use crate::units::{MM3_PER_ML, mm3_from_ml};
@@ -35,7 +35,7 @@ pub struct StepWorkspace {
     pub(super) anchors_mm: Vec<Vector3<f64>>,
     /// σC over σ0 a vertex at the step's end.
     pub(super) fraction: Vec<f64>,
-    stress_kpa: Vec<f64>,
+    pub(super) stress_kpa: Vec<f64>,
     /// y₀, mm.
     free_mm: Vec<Vector3<f64>>,
     /// Y*, then Y, mm.
@@ -90,7 +90,10 @@ impl HeartModel {
     fn solve_settings(&self) -> SolveSettings {
         match (self.settings.kinematics, self.settings.pressure_load) {
             (Kinematics::Linear, PressureLoad::Reference) => {
-                SolveSettings { relative_tolerance: 1e-5, response_tolerance: 1e-4, ..SolveSettings::default() }
+                // Who wants the volumes closer than usual wants the positions closer.
+                let closer = (self.settings.volume_tolerance_ml / ModelSettings::default().volume_tolerance_ml).clamp(1e-4, 1.0);
+                let (relative_tolerance, response_tolerance) = (1e-5 * closer, 1e-4 * closer);
+                SolveSettings { relative_tolerance, response_tolerance, ..SolveSettings::default() }
             }
             (Kinematics::Linear, PressureLoad::Following) => SolveSettings::default(),
             (Kinematics::Corotational, _) => SolveSettings { iteration_limit: TANGENT_ITERATION_LIMIT, ..SolveSettings::default() },

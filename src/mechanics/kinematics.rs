@@ -125,6 +125,7 @@ impl Tangent {
         let share = damping_s * rate_per_s;
         self.stiffening = 1.0 + share;
         if share == 0.0 {
+            self.rest_stretch.fill(Matrix3::identity());
             return Ok(());
         }
         let past = |(element, corners): (&Element, &[usize; 4])| {

@@ -17,6 +17,8 @@ mod step;
 
 use nalgebra::{Matrix3, Vector3};
 
+use crate::mesh::SurfaceTag;
+
 pub use column_solver::ColumnSolver;
 pub use contraction::{ContractionLaw, ContractionRate};
 pub use error::MechanicsError;
@@ -66,9 +68,41 @@ pub struct StepSystem {
     pub tangent: Option<Tangent>,
 }
 
+impl StepSystem {
+    /// Whether anything was added to the left.
+    pub fn has_stiffness(&self) -> bool {
+        self.stiffness_mn_per_mm.iter().any(|block| *block != Matrix3::zeros())
+    }
+}
+
 /// A force that the data exert during one step. Implementations add to the system and never edit a state.
 pub trait StepLoad: Sync {
     /// Adds this load's force and stiffness for the step from `time_s` to `time_s + step_s`. The unknown of the system is the
     /// position at the end of the step, so a spring k (z − y) adds k z to the force and k to the stiffness.
     fn add_to(&self, state: &MotionState, time_s: f64, step_s: f64, system: &mut StepSystem);
+
+    /// The derivative of this load in a step that has been taken, where it is known: a load without one has no tangents.
+    fn tangent<'a>(&'a self, _step: &TakenStep<'a>) -> Option<Box<dyn LoadTangent + 'a>> {
+        None
+    }
+}
+
+/// A step that has been taken, as the derivatives of its loads see it.
+#[derive(Debug, Clone, Copy)]
+pub struct TakenStep<'a> {
+    /// The state that it began with.
+    pub state: &'a MotionState,
+    /// When it began, s.
+    pub time_s: f64,
+    /// How long it took, s.
+    pub step_s: f64,
+    /// Positions at its end, mm.
+    pub end_mm: &'a [Vector3<f64>],
+}
+
+/// The derivative of a [`StepLoad`] in one step.
+pub trait LoadTangent: Sync {
+    /// Adds $dF - dK\,Y$ with Y the positions at the step's end, mN, where the positions at its beginning change by `position_rate_mm`
+    /// and the gain on a surface by `gain_rate`.
+    fn add_force(&self, position_rate_mm: &[Vector3<f64>], gain_rate: &dyn Fn(SurfaceTag) -> f64, force_mn: &mut [Vector3<f64>]);
 }

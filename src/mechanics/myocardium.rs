@@ -194,7 +194,8 @@ impl Myocardium {
     pub fn add_contraction_force(&self, stress_kpa: &[f64], force_mn: &mut [Vector3<f64>]) -> Result<(), MechanicsError> {
         check_size("contraction stresses, one a tetrahedron", self.tetrahedra.len(), stress_kpa.len())?;
         check_size("forces, one a vertex", self.rest_mm.len(), force_mn.len())?;
-        for ((corners, gradient_mm2), stress) in self.tetrahedra.iter().zip(&self.contraction_mm2).zip(stress_kpa) {
+        let contracting = self.tetrahedra.iter().zip(&self.contraction_mm2).zip(stress_kpa).filter(|(_, stress)| **stress != 0.0);
+        for ((corners, gradient_mm2), stress) in contracting {
             for (&vertex, unit) in corners.iter().zip(gradient_mm2) {
                 force_mn[vertex] += unit * *stress;
             }

@@ -74,11 +74,15 @@ impl PassiveRate {
         if self.damping_stiffness_s != 0.0 {
             tissue.stiffness().multiply_add(-self.damping_stiffness_s, velocity, force_mn);
         }
-        self.add_constant_parts(tissue, end, base_anchor_mm, force_mn)
+        self.add_outer_force(tissue, end, base_anchor_mm, force_mn)
     }
 
-    /// Mass, damping of the mass, springs and dashpots: the same in both kinematics.
-    fn add_constant_parts(
+    /// The part of [`PassiveRate::add_force`] of mass, damping of the mass, springs and dashpots: all of it but the internal forces, in
+    /// either kinematics.
+    ///
+    /// # Errors
+    /// As [`PassiveRate::add_force`].
+    pub fn add_outer_force(
         &self,
         tissue: &Myocardium,
         end: &MotionState,

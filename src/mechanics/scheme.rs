@@ -123,7 +123,16 @@ impl Coefficients {
             acceleration_mm_per_s2: Vec::with_capacity(count),
             algorithmic_acceleration_mm_per_s2: Vec::with_capacity(count),
         };
-        for vertex in 0..count {
+        self.complete(state, &mut next);
+        next
+    }
+
+    /// Writes the velocities and accelerations of the state whose positions `next` has.
+    pub(super) fn complete(&self, state: &MotionState, next: &mut MotionState) {
+        next.algorithmic_acceleration_mm_per_s2.clear();
+        next.velocity_mm_per_s.clear();
+        next.acceleration_mm_per_s2.clear();
+        for vertex in 0..next.position_mm.len() {
             let moved = next.position_mm[vertex] - self.predicted_position(state, vertex);
             let algorithmic = moved / (self.beta * self.step_s * self.step_s);
             next.algorithmic_acceleration_mm_per_s2.push(algorithmic);
@@ -133,7 +142,6 @@ impl Coefficients {
                     - state.acceleration_mm_per_s2[vertex] * self.inertia_history,
             );
         }
-        next
     }
 
     fn predicted_position(&self, state: &MotionState, vertex: usize) -> Vector3<f64> {

@@ -265,6 +265,29 @@ impl StepOperator {
         Ok(())
     }
 
+    /// The internal forces of a tissue at the end of a step of corotational kinematics that begins with `start`, mN, under a tension σC
+    /// (kPa a tetrahedron). `system` is memory.
+    ///
+    /// # Errors
+    /// As [`StepOperator::linearise`], and [`MechanicsError::NotLinearised`] if the system is not corotational.
+    pub fn internal_force_mn<'a>(
+        &self,
+        tissue: &Myocardium,
+        start: &MotionState,
+        tension_kpa: &[f64],
+        end_mm: &[Vector3<f64>],
+        system: &'a mut StepSystem,
+    ) -> Result<&'a [Vector3<f64>], MechanicsError> {
+        check_size("end positions, one a vertex", tissue.vertex_count(), end_mm.len())?;
+        check_size("positions, one a vertex", tissue.vertex_count(), start.position_mm.len())?;
+        check_size("contraction stresses, one a tetrahedron", tissue.tetrahedron_count(), tension_kpa.len())?;
+        let tangent = system.tangent.as_mut().ok_or(MechanicsError::NotLinearised)?;
+        tangent.begin(tissue, start, &self.coefficients)?;
+        tangent.set_tension(tension_kpa);
+        tangent.update_force(tissue, end_mm)?;
+        Ok(tangent.force_mn())
+    }
+
     /// What minus the residual is the gradient of, in two parts whose sum it is, mN·mm: the internal energy where the system's forces
     /// were last computed, and the rest of it beside its value at `from_mm` (with the symmetric part of the data's stiffness).
     ///
@@ -308,6 +331,11 @@ impl StepOperator {
     /// The state at the step's end, whose positions have been solved for; for backward Euler $v^{t+h} = (Y^{t+h} - Y^t)/h$.
     pub fn advance(&self, state: &MotionState, position_mm: Vec<Vector3<f64>>) -> MotionState {
         self.coefficients.advance(state, position_mm)
+    }
+
+    /// [`StepOperator::advance`] into memory: writes velocities and accelerations of `next`, which has the positions.
+    pub fn complete(&self, state: &MotionState, next: &mut MotionState) {
+        self.coefficients.complete(state, next);
     }
 
     /// $\tilde K$, kPa·mm.

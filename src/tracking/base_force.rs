@@ -5,9 +5,10 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
+use super::force_tangents::BaseTangent;
 use super::{BlockMatchingSettings, TrackingError};
 use crate::heart::BaseMotion;
-use crate::mechanics::{MotionState, StepLoad, StepSystem};
+use crate::mechanics::{LoadTangent, MotionState, StepLoad, StepSystem, TakenStep};
 use crate::mesh::{SurfaceTag, TaggedSurface};
 
 /// How the base is held, \[Billet2009\] §6.2.
@@ -92,11 +93,11 @@ impl BaseMatches {
 /// Springs, implicit in time, from base vertices to the places where their matches are.
 #[derive(Debug, Clone)]
 pub struct BaseForce<'a> {
-    surface: &'a TaggedSurface,
-    matches: &'a BaseMatches,
-    reference_mm: &'a [Vector3<f64>],
-    projection: BaseProjection,
-    gain_kpa_per_mm: f64,
+    pub(super) surface: &'a TaggedSurface,
+    pub(super) matches: &'a BaseMatches,
+    pub(super) reference_mm: &'a [Vector3<f64>],
+    pub(super) projection: BaseProjection,
+    pub(super) gain_kpa_per_mm: f64,
 }
 
 impl<'a> BaseForce<'a> {
@@ -137,5 +138,8 @@ impl StepLoad for BaseForce<'_> {
             system.force_mn[vertex] += stiffness * (self.reference_mm[vertex] + displacement_mm);
             system.stiffness_mn_per_mm[vertex] += stiffness;
         }
+    }
+    fn tangent<'b>(&'b self, step: &TakenStep<'b>) -> Option<Box<dyn LoadTangent + 'b>> {
+        Some(Box::new(BaseTangent { force: self, taken: *step }))
     }
 }

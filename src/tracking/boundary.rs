@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::appearance::{side_intensity, weighted_average};
+use super::force_tangents::follow_crossing;
 use super::{AppearanceSettings, ImageInstant, SurfaceAppearance, TrackingError};
 use crate::mesh::{SurfaceTag, TaggedSurface};
 
@@ -140,6 +141,26 @@ impl BoundarySearch {
         };
         let targets = (0..vertices.len()).filter_map(target).collect();
         SurfaceTargets { tag: self.appearance.tag, vertex_count: vertices.len(), targets }
+    }
+
+    /// How it searches.
+    pub(super) fn settings(&self) -> &BoundarySettings {
+        &self.settings
+    }
+
+    /// s, N' and the edge's confidence (without its neighbours') of the crossing near a distance along a normal.
+    pub(super) fn follow(
+        &self,
+        place: usize,
+        origin_mm: &Vector3<f64>,
+        normal: &Vector3<f64>,
+        near_mm: f64,
+        instant: &ImageInstant,
+    ) -> Option<(f64, Vector3<f64>, f64)> {
+        let level = self.appearance.level[place];
+        let distance_mm = follow_crossing(near_mm, |distance_mm| Some(instant.value(&(origin_mm + normal * distance_mm))? - level))?;
+        let found = self.judge(place, origin_mm, normal, distance_mm, instant)?;
+        Some((found.distance_mm, found.image_normal, found.confidence))
     }
 
     /// All crossings of the level along the normal of one vertex, by rising distance along it.

@@ -4,9 +4,10 @@ use std::sync::{Mutex, PoisonError};
 
 use nalgebra::Vector3;
 
+use super::force_tangents::ImageTangent;
 use super::{BoundarySearch, BoundaryTarget, ForceScheme, ImageInstant, SurfaceTargets, TrackingError, VertexLoad};
 use crate::image::CineSequence;
-use crate::mechanics::{MotionState, StepLoad, StepSystem};
+use crate::mechanics::{LoadTangent, MotionState, StepLoad, StepSystem, TakenStep};
 use crate::mesh::TaggedSurface;
 
 /// A surface with its gain.
@@ -21,10 +22,10 @@ pub struct SurfaceGain {
 /// The image force of a cine sequence on the endocardia and the epicardium.
 #[derive(Debug)]
 pub struct ImageForce<'a> {
-    cine: &'a CineSequence,
-    surface: &'a TaggedSurface,
+    pub(super) cine: &'a CineSequence,
+    pub(super) surface: &'a TaggedSurface,
     surfaces: Vec<SurfaceGain>,
-    scheme: ForceScheme,
+    pub(super) scheme: ForceScheme,
     held_out: Vec<bool>,
     applied: Mutex<Vec<(usize, VertexLoad)>>,
 }
@@ -100,5 +101,8 @@ impl StepLoad for ImageForce<'_> {
                 }
             }
         }
+    }
+    fn tangent<'b>(&'b self, step: &TakenStep<'b>) -> Option<Box<dyn LoadTangent + 'b>> {
+        Some(Box::new(ImageTangent::new(self, step)))
     }
 }

@@ -9,6 +9,7 @@
 //! | `image_force` | all surfaces as one load on the step system |
 //! | `block_matching`, `pyramid` | the motion of the base from blocks of voxels |
 //! | `base_force` | the base drawn along a known motion |
+//! | `force_tangents` | the derivatives of both, for tangents of tracked hearts |
 //! | `tracker`, `residuals` | one beat under these loads, and what the images say of it |
 //! | `agreement`, `section` | a tracked cavity against an expert's labels |
 
@@ -20,6 +21,7 @@ mod boundary;
 mod error;
 #[cfg(test)]
 mod fixtures;
+mod force_tangents;
 mod image_force;
 mod instant;
 mod pyramid;

@@ -8,10 +8,16 @@
 //! $\partial_y V_k(Y) \cdot dY$, and the valves that are open make the dp a system of one or two unknowns
 //! ([`ValveRates`](crate::circulation::ValveRates)). All parameters share the factor: one pass of triangular solves with many columns.
 //!
-//! The derivatives are those of the discrete simulation, exact but for rounding and, in the passive properties, for a central difference of
-//! the assembled matrices (1e-9). They are one-sided where a valve opens or shuts, or a vertex is depolarised or repolarised, just at the
-//! end of a step, and where two fronts meet.
+//! In corotational kinematics the tangent of the step that has been taken stands in the place of $\tilde K$, and the internal forces change
+//! with the state that the step began with, see `internal_force`. Loads of data have derivatives of their own
+//! ([`LoadTangent`](crate::mechanics::LoadTangent)).
+//!
+//! The derivatives are those of the discrete simulation, exact but for rounding, the tolerance of iterative solves and, in passive properties
+//! and internal forces, central differences of what is assembled (1e-9). They are one-sided where a valve opens or shuts, or a vertex is
+//! depolarised or repolarised, just at the end of a step, and where two fronts meet.
 
+mod internal_force;
+mod linearised;
 mod rates;
 mod step;
 #[cfg(test)]
@@ -22,7 +28,7 @@ use std::ops::ControlFlow;
 use step::TangentColumns;
 
 use super::simulate::{Recording, step_count};
-use super::{CurveRow, HeartModel, HeartState, RegionalParameter, SimulationPlan, StepOutcome, TangentError, Trajectory};
+use super::{CurveRow, HeartModel, HeartState, RegionalParameter, SimulationPlan, TangentError, Trajectory};
 use crate::mechanics::StepLoad;
 
 /// [`simulate`](super::simulate) with the derivatives of its trajectory by `parameters`, one trajectory each: every number is the
@@ -44,21 +50,28 @@ pub fn simulate_with_tangents(
     let mut columns = TangentColumns::new(model, &start, loads, parameters)?;
     let mut workspace = model.workspace();
     let step_count = step_count(&start, plan, step_s);
-    let mut recordings: Vec<Recording<'_>> = columns.states().map(|state| Recording::new(state.clone(), plan, step_s)).collect();
-    let mut recording = Recording::new(start, plan, step_s);
-    let mut is_stopped = recording.show(observer);
+    let mut recordings: Vec<Recording<'_>> = columns.rates().map(|(_, rate)| Recording::new(rate, plan, step_s)).collect();
+    let (mut recording, mut last) = (Recording::new(&start, plan, step_s), start);
+    let mut is_stopped = recording.show(&last, observer);
     for _ in 0..step_count {
         if is_stopped {
             break;
         }
-        let StepOutcome { state, substep_count, .. } = model.step(recording.last(), loads, &mut workspace)?;
-        columns.step(model, recording.last(), &state, &workspace)?;
-        for (recording, state) in recordings.iter_mut().zip(columns.states()) {
-            recording.add(state.clone(), substep_count);
+        let outcome = model.step(&last, loads, &mut workspace)?;
+        if outcome.substep_count > 1 {
+            let reason = "a step did not converge as a whole and was taken in halves";
+            return Err(TangentError::NoTangent { parameter: "step_s", reason });
         }
-        recording.add(state, substep_count);
-        is_stopped = recording.show(observer);
+        columns.step(model, loads, &last, &outcome.state, &workspace)?;
+        for (recording, (before, after)) in recordings.iter_mut().zip(columns.rates()) {
+            recording.add(before, after);
+        }
+        recording.count(&outcome);
+        recording.add(&last, &outcome.state);
+        last = outcome.state;
+        is_stopped = recording.show(&last, observer);
     }
-    let tangents = recordings.into_iter().map(|recording| recording.into_trajectory(is_stopped)).collect();
-    Ok((recording.into_trajectory(is_stopped), tangents))
+    let tangents = recordings.into_iter().zip(columns.into_rates());
+    let tangents = tangents.map(|(recording, rate)| recording.into_trajectory(rate, is_stopped)).collect();
+    Ok((recording.into_trajectory(last, is_stopped), tangents))
 }

@@ -7,7 +7,8 @@ use super::super::{HeartError, HeartModel, Parameter, Parameters, RegionalParame
 use crate::anatomy::Ventricle;
 use crate::circulation::{AtrialPressureRate, WindkesselRate};
 use crate::electrophysiology::Onset;
-use crate::mechanics::{ContractionRate, MechanicsError, Myocardium, PassiveRate};
+use crate::mechanics::{ContractionRate, Kinematics, MechanicsError, Myocardium, PassiveRate};
+use crate::mesh::SurfaceTag;
 
 /// Half of the width of central differences of assembled matrices, relative to the parameter: they are exact to about its square.
 const DIFFERENCE: f64 = 1e-5;
@@ -20,6 +21,10 @@ pub(super) struct ModelRate {
     /// dtd a vertex, s.
     pub(super) depolarisation_s: Option<Vec<f64>>,
     pub(super) passive: Option<PassiveRate>,
+    /// Two tissues on either side of this one, and how far they are apart, where their internal forces are to be differentiated.
+    pub(super) tissues: Option<(Box<[Myocardium; 2]>, f64)>,
+    /// The surface whose image gain the parameter is.
+    pub(super) gain_surface: Option<SurfaceTag>,
     pub(super) ventricles: Vec<CirculationRate>,
     /// dR_v, kPa·s/mL.
     pub(super) valve_resistance: f64,
@@ -45,9 +50,9 @@ impl ModelRate {
     ///
     /// # Errors
     /// [`TangentError::NoTangent`] where there are none, [`TangentError::Heart`] if a tissue beside this one cannot be assembled.
-    pub(super) fn new(model: &HeartModel, regional: RegionalParameter) -> Result<Self, TangentError> {
+    pub(super) fn new(model: &HeartModel, regional: RegionalParameter, has_loads: bool) -> Result<Self, TangentError> {
         let parameter = regional.parameter();
-        check(model, parameter)?;
+        check(model, parameter, has_loads)?;
         let one = |which: Parameter| f64::from(which == parameter);
         let rate = ContractionRate {
             contraction_rate_per_s: one(Parameter::ContractionRate),
@@ -55,13 +60,16 @@ impl ModelRate {
             action_potential_duration_s: one(Parameter::ActionPotentialDuration),
         };
         let law_rate = || LawRate { rate, shares: model.parameters.share_on_vertices(regional, &model.anatomy) };
-        let (passive, share_rates) = if PASSIVE.contains(&parameter) { passive_rate(model, parameter)? } else { (None, None) };
+        let tissues = if PASSIVE.contains(&parameter) { Some(neighbours(model, parameter)?) } else { None };
+        let share_rates = tissues.as_ref().and_then(|(tissues, width)| muscle_share_rates(tissues, *width));
         let ventricles = model.ventricles.iter().map(|ventricle| CirculationRate::new(ventricle.ventricle, parameter)).collect();
         Ok(Self {
             peak_kpa: peak_rates_kpa(model, regional, share_rates.as_deref()),
             contraction: (rate != ContractionRate::default()).then(law_rate),
             depolarisation_s: depolarisation_rates_s(model, regional)?,
-            passive,
+            passive: tissues.as_ref().map(|(tissues, width)| PassiveRate::between(&tissues[0], &tissues[1], *width)),
+            tissues: tissues.filter(|_| model.settings.kinematics == Kinematics::Corotational),
+            gain_surface: gain_surface(parameter),
             ventricles,
             valve_resistance: one(Parameter::ValveResistance),
         })
@@ -96,7 +104,7 @@ impl CirculationRate {
 }
 
 /// Which parameters have no tangent, and why.
-fn check(model: &HeartModel, parameter: Parameter) -> Result<(), TangentError> {
+fn check(model: &HeartModel, parameter: Parameter, has_loads: bool) -> Result<(), TangentError> {
     use Parameter as P;
     let value = model.parameters[parameter];
     let is_electrical = matches!(
@@ -105,9 +113,7 @@ fn check(model: &HeartModel, parameter: Parameter) -> Result<(), TangentError> {
     );
     let reason = match parameter {
         P::HeartPeriod => "all later beats move with it",
-        P::ImageGainEndocardiumLv | P::ImageGainEndocardiumRv | P::ImageGainEpicardium | P::ImageGainBase => {
-            "the heart does not depend on it without the loads of images"
-        }
+        _ if gain_surface(parameter).is_some() && !has_loads => "the heart does not depend on it without the loads of images",
         P::ValveRingHeight if value == 0.0 => "a ring appears at once",
         P::AtrialKickDuration if value >= model.parameters[P::HeartPeriod] => "the kick is cut to the heart period",
         _ if is_electrical && !model.rhythm().is_regular() => "which stimuli meet refractory tissue may change with it",
@@ -154,17 +160,31 @@ fn depolarisation_rates_s(model: &HeartModel, regional: RegionalParameter) -> Re
     Ok(Some(rates))
 }
 
-/// Derivatives of the matrices and, where the fibrous ring changes, of the share of muscle a tetrahedron.
-fn passive_rate(model: &HeartModel, parameter: Parameter) -> Result<(Option<PassiveRate>, Option<Vec<f64>>), HeartError> {
+/// The surface whose gain a parameter is.
+fn gain_surface(parameter: Parameter) -> Option<SurfaceTag> {
+    match parameter {
+        Parameter::ImageGainEndocardiumLv => Some(SurfaceTag::EndocardiumLv),
+        Parameter::ImageGainEndocardiumRv => Some(SurfaceTag::EndocardiumRv),
+        Parameter::ImageGainEpicardium => Some(SurfaceTag::Epicardium),
+        Parameter::ImageGainBase => Some(SurfaceTag::Base),
+        _ => None,
+    }
+}
+
+/// Tissues with a little less and a little more of a passive parameter, and how far they are apart. At an end of its range they lie on one
+/// side: parameters that may be zero, where the range ends, enter linearly; for others the difference is then exact to 1e-5 only.
+fn neighbours(model: &HeartModel, parameter: Parameter) -> Result<(Box<[Myocardium; 2]>, f64), HeartError> {
     let (value, spec) = (model.parameters[parameter], parameter.spec());
     let reach = DIFFERENCE * if value == 0.0 { (spec.upper - spec.lower).min(1.0) } else { value };
-    // At an end of the range the difference is one-sided: parameters that may be zero, where the range ends, enter linearly.
     let (low, high) = ((value - reach).max(spec.lower), (value + reach).min(spec.upper));
-    let [lower, upper] = [low, high].map(|value| tissue(model, &model.parameters.clone().with(parameter, value)?));
-    let (lower, upper) = (lower?, upper?);
-    let share_rates: Vec<f64> = upper.muscle_shares().iter().zip(lower.muscle_shares()).map(|(u, l)| (u - l) / (high - low)).collect();
-    let do_shares_change = share_rates.iter().any(|rate| *rate != 0.0);
-    Ok((Some(PassiveRate::between(&lower, &upper, high - low)), do_shares_change.then_some(share_rates)))
+    let of = |value: f64| tissue(model, &model.parameters.clone().with(parameter, value)?);
+    Ok((Box::new([of(low)?, of(high)?]), high - low))
+}
+
+/// How the share of muscle changes a tetrahedron, where it does: with the fibrous ring.
+fn muscle_share_rates([lower, upper]: &[Myocardium; 2], width: f64) -> Option<Vec<f64>> {
+    let rates: Vec<f64> = upper.muscle_shares().iter().zip(lower.muscle_shares()).map(|(u, l)| (u - l) / width).collect();
+    rates.iter().any(|rate| *rate != 0.0).then_some(rates)
 }
 
 fn tissue(model: &HeartModel, parameters: &Parameters) -> Result<Myocardium, HeartError> {

@@ -1,33 +1,36 @@
 //! One step of all tangents, behind the step of the heart that they are tangents of.
 
-use nalgebra::{DMatrix, Vector3};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::super::contraction::Contraction;
 use super::super::model::VentricleModel;
 use super::super::step::dot;
 use super::super::{HeartModel, HeartState, PressureLoad, RegionalParameter, StepError, StepWorkspace, TangentError, VentricleState};
+use super::internal_force::ForceMemory;
+use super::linearised::{LinearisedMemory, LinearisedStep, RELATIVE_TOLERANCE};
 use super::rates::{LawRate, ModelRate};
-use crate::circulation::{CirculationError, OpenValves, Phase, PortRates, ValveRates, VentricleFlow, VentricleFlowRate, VentriclePorts};
+use crate::circulation::{CirculationError, PortRates, ValveRates, VentricleFlowRate};
 use crate::mechanics::{ColumnSolver, ContractionRate, Kinematics, MechanicsError, MotionState, StepLoad};
+use crate::mesh::SurfaceTag;
 
-/// Columns that are solved together; fixed, so that results do not depend on the number of threads.
-const COLUMNS_AT_ONCE: usize = 10;
-
-/// Relative residual that an iterative solve of a column may leave.
-const RELATIVE_TOLERANCE: f64 = 1e-9;
+/// Most columns that are solved together.
+const COLUMN_LIMIT: usize = 20;
 
 /// The derivatives of the heart's state by all parameters, and what they go on with.
 pub(super) struct TangentColumns {
     columns: Vec<Column>,
     chunks: Vec<ChunkMemory>,
+    linearised: LinearisedMemory,
 }
 
 /// One parameter.
 struct Column {
     rate: ModelRate,
-    /// Derivatives in the places of what they are derivatives of.
-    state: HeartState,
+    /// Derivatives of the state before the last step, in the places of what they are derivatives of.
+    before: HeartState,
+    /// The same after it.
+    after: HeartState,
     /// Whether anything of the state is not zero.
     has_begun: bool,
 }
@@ -36,25 +39,11 @@ struct Column {
 #[derive(Default)]
 struct ChunkMemory {
     solver: ColumnSolver,
-    forces_mn: Vec<Vec<Vector3<f64>>>,
+    spare_mn: Vec<Vec<Vector3<f64>>>,
     damped_mm_per_s: Vec<Vec<Vector3<f64>>>,
     fraction_rates: Vec<f64>,
     stress_rates_kpa: Vec<f64>,
-}
-
-/// The step that has been taken, as all its tangents see it.
-struct TakenStep<'a> {
-    model: &'a HeartModel,
-    before: &'a HeartState,
-    after: &'a HeartState,
-    workspace: &'a StepWorkspace,
-    /// Time since the latest depolarisation a vertex at the step's end, s.
-    since_s: Vec<Option<f64>>,
-    /// ∂V at the step's end, mm², one a cavity.
-    gradients_mm2: Vec<Vec<Vector3<f64>>>,
-    flows: Vec<VentricleFlow>,
-    ports: Vec<VentriclePorts>,
-    compliance_mm3_per_kpa: DMatrix<f64>,
+    internal: ForceMemory,
 }
 
 impl TangentColumns {
@@ -68,105 +57,117 @@ impl TangentColumns {
         loads: &[&dyn StepLoad],
         parameters: &[RegionalParameter],
     ) -> Result<Self, TangentError> {
-        check(model, loads)?;
+        if model.settings.kinematics == Kinematics::Linear && model.settings.pressure_load != PressureLoad::Reference {
+            let reason = "pressures that follow the surface are not differentiated in linear kinematics";
+            return Err(TangentError::NoTangent { parameter: "pressure_load", reason });
+        }
         let column = |parameter: &RegionalParameter| {
-            let rate = ModelRate::new(model, *parameter)?;
-            Ok(Column { state: initial_rates(model, &rate, start), rate, has_begun: false })
+            let rate = ModelRate::new(model, *parameter, !loads.is_empty())?;
+            let start = initial_rates(model, &rate, start);
+            Ok(Column { before: start.clone(), after: start, rate, has_begun: false })
         };
         let columns = parameters.iter().map(column).collect::<Result<_, TangentError>>()?;
-        Ok(Self { columns, chunks: Vec::new() })
+        Ok(Self { columns, chunks: Vec::new(), linearised: LinearisedMemory::default() })
     }
 
-    /// The derivatives of the heart's state, one a parameter.
-    pub(super) fn states(&self) -> impl Iterator<Item = &HeartState> {
-        self.columns.iter().map(|column| &column.state)
+    /// The derivatives of the heart's state before and after the last step, one pair a parameter.
+    pub(super) fn rates(&self) -> impl Iterator<Item = (&HeartState, &HeartState)> {
+        self.columns.iter().map(|column| (&column.before, &column.after))
+    }
+
+    /// The last derivatives.
+    pub(super) fn into_rates(self) -> impl Iterator<Item = HeartState> {
+        self.columns.into_iter().map(|column| column.after)
     }
 
     /// Takes them over the step from `before` to `after` that has left `workspace`.
+    ///
+    /// # Errors
+    /// As [`super::simulate_with_tangents`].
     pub(super) fn step(
         &mut self,
         model: &HeartModel,
+        loads: &[&dyn StepLoad],
         before: &HeartState,
         after: &HeartState,
         workspace: &StepWorkspace,
     ) -> Result<(), TangentError> {
-        let taken = TakenStep::new(model, before, after, workspace);
+        let Self { columns, chunks, linearised } = self;
+        let taken = LinearisedStep::new(model, loads, (before, after), workspace, linearised)?;
         let (time_s, step_s) = (before.time_s, model.settings.step_s);
-        self.chunks.resize_with(self.columns.len().div_ceil(COLUMNS_AT_ONCE), ChunkMemory::default);
-        let chunks = self.columns.par_chunks_mut(COLUMNS_AT_ONCE).zip(&mut self.chunks);
-        chunks
+        // Two cores share a few columns; the split does not depend on the number of threads, so that results do not.
+        let chunk = columns.len().div_ceil(2).clamp(1, COLUMN_LIMIT);
+        chunks.resize_with(columns.len().div_ceil(chunk), ChunkMemory::default);
+        columns
+            .par_chunks_mut(chunk)
+            .zip(chunks)
             .map(|(columns, memory)| {
-                let responses = taken.begun_responses(columns, memory).map_err(|source| StepError::Mechanics { time_s, step_s, source })?;
-                taken.advance(columns, responses).map_err(|source| StepError::Circulation { time_s, step_s, source })
+                taken.respond(columns, memory).map_err(|source| StepError::Mechanics { time_s, step_s, source })?;
+                taken.advance(columns).map_err(|source| StepError::Circulation { time_s, step_s, source })
             })
             .collect::<Result<(), StepError>>()?;
         Ok(())
     }
 }
 
-impl<'a> TakenStep<'a> {
-    fn new(model: &'a HeartModel, before: &'a HeartState, after: &'a HeartState, workspace: &'a StepWorkspace) -> Self {
-        let vertex_count = model.anatomy.mesh.vertex_count();
-        let gradient = |(_, cavity): &(_, crate::mesh::Cavity)| {
-            let mut gradient = vec![Vector3::zeros(); vertex_count];
-            cavity.add_gradient(&after.motion.position_mm, 1.0, &mut gradient);
-            gradient
-        };
-        let gradients_mm2: Vec<_> = model.anatomy.cavities.iter().map(gradient).collect();
-        let count = gradients_mm2.len();
-        Self {
-            since_s: (0..vertex_count).map(|vertex| model.rhythm().since_depolarisation_s(vertex, after.time_s)).collect(),
-            compliance_mm3_per_kpa: DMatrix::from_fn(count, count, |k, l| dot(&gradients_mm2[k], &workspace.yields_mm_per_kpa[l])),
-            gradients_mm2,
-            flows: after.ventricles.iter().map(flow).collect(),
-            ports: model.ports(before),
-            model,
-            before,
-            after,
-            workspace,
-        }
-    }
-
-    /// dy₀ of the columns, mm; empty where it is zero because nothing depends on the parameter yet.
-    fn begun_responses(&self, columns: &mut [Column], memory: &mut ChunkMemory) -> Result<Vec<Vec<Vector3<f64>>>, MechanicsError> {
+impl LinearisedStep<'_> {
+    /// Moves the derivatives on: what was after the last step is before this one, and dy₀ is where the positions after it will be.
+    fn respond(&self, columns: &mut [Column], memory: &mut ChunkMemory) -> Result<(), MechanicsError> {
         let vertex_count = self.model.anatomy.mesh.vertex_count();
-        let mut forces_mn = std::mem::take(&mut memory.forces_mn);
-        forces_mn.resize_with(columns.len(), Vec::new);
-        for (column, force_mn) in columns.iter_mut().zip(&mut forces_mn) {
+        let mut right = Vec::with_capacity(columns.len());
+        for column in columns.iter_mut() {
+            std::mem::swap(&mut column.before, &mut column.after);
+            let mut force_mn = memory.spare_mn.pop().unwrap_or_default();
             force_mn.clear();
             force_mn.resize(vertex_count, Vector3::zeros());
-            self.add_own_force(column, memory, force_mn)?;
+            self.add_own_force(column, memory, &mut force_mn)?;
             column.has_begun |= force_mn.iter().any(|force| *force != Vector3::zeros());
+            if column.has_begun { right.push(force_mn) } else { memory.spare_mn.push(force_mn) }
         }
-        let begun: Vec<&Column> = columns.iter().filter(|column| column.has_begun).collect();
-        let mut right: Vec<_> = columns.iter().zip(&mut forces_mn).filter(|(c, _)| c.has_begun).map(|(_, f)| std::mem::take(f)).collect();
-        let motions: Vec<&MotionState> = begun.iter().map(|column| &column.state.motion).collect();
-        let StepWorkspace { solver, system, .. } = self.workspace;
+        let motions: Vec<&MotionState> = columns.iter().filter(|column| column.has_begun).map(|column| &column.before.motion).collect();
         let operator = &self.model.operator;
         operator.add_history(&motions, &mut memory.damped_mm_per_s, &mut right)?;
         let guesses: Vec<&[Vector3<f64>]> = motions.iter().map(|motion| motion.position_mm.as_slice()).collect();
-        memory.solver.solve(solver, operator, system, &mut right, &guesses, RELATIVE_TOLERANCE)?;
-        let mut right = right.into_iter();
-        let place = |column: &Column| if column.has_begun { right.next().unwrap_or_default() } else { Vec::new() };
-        Ok(columns.iter().map(place).collect())
+        memory.solver.solve(&self.workspace.solver, operator, self.system, &mut right, &guesses, RELATIVE_TOLERANCE)?;
+        for (column, mut response) in columns.iter_mut().filter(|column| column.has_begun).zip(right) {
+            std::mem::swap(&mut column.after.motion.position_mm, &mut response);
+            memory.spare_mn.push(response);
+        }
+        Ok(())
     }
 
-    /// What the parameter itself changes of the forces, and the prestress that has changed with it, mN.
+    /// What the parameter itself changes of the forces, and what the state before the step changes otherwise than by inertia and
+    /// damping, mN.
     fn add_own_force(&self, column: &Column, memory: &mut ChunkMemory, force_mn: &mut [Vector3<f64>]) -> Result<(), MechanicsError> {
-        let Self { model, workspace, .. } = self;
-        let tissue = model.operator.myocardium();
-        if self.write_stress_rates(&column.rate, memory) {
-            tissue.add_contraction_force(&memory.stress_rates_kpa, force_mn)?;
+        let Self { model, workspace, after, .. } = self;
+        let (tissue, rate) = (model.operator.myocardium(), &column.rate);
+        if !self.write_stress_rates(rate, memory) {
+            memory.stress_rates_kpa.clear();
         }
-        for (ventricle, rate) in model.ventricles.iter().zip(&column.state.ventricles) {
-            if rate.rest_pressure_kpa != 0.0 {
-                let gradient = ventricle.rest_gradient_mm2.iter();
-                force_mn.iter_mut().zip(gradient).for_each(|(force, gradient)| *force -= gradient * rate.rest_pressure_kpa);
+        for (ventricle, state) in column.before.ventricles.iter().enumerate() {
+            if state.rest_pressure_kpa != 0.0 {
+                let gradient = self.prestress_mm2(ventricle).iter();
+                force_mn.iter_mut().zip(gradient).for_each(|(force, gradient)| *force -= gradient * state.rest_pressure_kpa);
             }
         }
-        if let Some(passive) = &column.rate.passive {
-            let anchors = model.settings.base_motion.as_ref().map(|_| workspace.anchors_mm.as_slice());
-            passive.add_force(tissue, &self.after.motion, anchors, force_mn)?;
+        let anchors = model.settings.base_motion.as_ref().map(|_| workspace.anchors_mm.as_slice());
+        if self.is_corotational() {
+            let ChunkMemory { stress_rates_kpa, internal, .. } = memory;
+            self.internal_force().subtract_rate(rate, &column.before.motion, stress_rates_kpa, internal, force_mn)?;
+            if let Some(passive) = &rate.passive {
+                passive.add_outer_force(tissue, &after.motion, anchors, force_mn)?;
+            }
+        } else {
+            if !memory.stress_rates_kpa.is_empty() {
+                tissue.add_contraction_force(&memory.stress_rates_kpa, force_mn)?;
+            }
+            if let Some(passive) = &rate.passive {
+                passive.add_force(tissue, &after.motion, anchors, force_mn)?;
+            }
+        }
+        let gain_rate = |tag: SurfaceTag| f64::from(rate.gain_surface == Some(tag));
+        if column.has_begun || rate.gain_surface.is_some() {
+            self.loads.iter().for_each(|load| load.add_force(&column.before.motion.position_mm, &gain_rate, force_mn));
         }
         Ok(())
     }
@@ -204,82 +205,59 @@ impl<'a> TakenStep<'a> {
         stress_rates_kpa.iter().any(|stress| *stress != 0.0)
     }
 
-    /// The valves give dp, and dY is then known: the states at the step's end.
-    fn advance(&self, columns: &mut [Column], responses: Vec<Vec<Vector3<f64>>>) -> Result<(), CirculationError> {
+    /// The valves give dp, and dY is then known: the derivatives at the step's end.
+    fn advance(&self, columns: &mut [Column]) -> Result<(), CirculationError> {
         let Self { model, compliance_mm3_per_kpa, flows, ports, .. } = self;
-        let step_s = model.settings.step_s;
-        let valves = ValveRates::new(compliance_mm3_per_kpa, flows, ports, model.valve_resistance(), step_s)?;
-        for (column, mut response) in columns.iter_mut().zip(responses) {
-            let rates: Vec<PortRates> = (0..flows.len()).map(|ventricle| self.port_rates(column, ventricle, &response)).collect();
+        let valves = ValveRates::new(compliance_mm3_per_kpa, flows, ports, model.valve_resistance(), model.settings.step_s)?;
+        for column in columns {
+            let rates: Vec<PortRates> = (0..flows.len()).map(|ventricle| self.port_rates(column, ventricle)).collect();
             let flow_rates = valves.solve(&rates);
             column.has_begun |= flow_rates.iter().any(|rate| rate.pressure_kpa != 0.0);
             if column.has_begun {
-                response.resize(model.anatomy.mesh.vertex_count(), Vector3::zeros());
-                for (rate, yields) in flow_rates.iter().zip(&self.workspace.yields_mm_per_kpa) {
+                let response = &mut column.after.motion.position_mm;
+                for (rate, yields) in flow_rates.iter().zip(self.yields_mm_per_kpa) {
                     response.iter_mut().zip(yields).for_each(|(y, yielded)| *y += yielded * rate.pressure_kpa);
                 }
-            } else {
-                response.clone_from(&column.state.motion.position_mm);
+                model.operator.complete(&column.before.motion, &mut column.after.motion);
             }
-            column.state = self.next_rates(column, response, &flow_rates);
+            let next = |ventricle| self.next_rates(column, ventricle, &flow_rates[ventricle]);
+            column.after.ventricles = (0..flow_rates.len()).map(next).collect();
+            column.after.time_s = self.after.time_s;
         }
         Ok(())
     }
 
-    fn port_rates(&self, column: &Column, ventricle: usize, response_mm: &[Vector3<f64>]) -> PortRates {
+    fn port_rates(&self, column: &Column, ventricle: usize) -> PortRates {
         let VentricleModel { artery, atrium, .. } = &self.model.ventricles[ventricle];
-        let (rate, state) = (&column.rate.ventricles[ventricle], &column.state.ventricles[ventricle]);
+        let (rate, state) = (&column.rate.ventricles[ventricle], &column.before.ventricles[ventricle]);
         let capacitor = (self.before.ventricles[ventricle].capacitor_pressure_kpa, state.capacitor_pressure_kpa);
         PortRates {
             atrial_pressure_kpa: atrium.pressure_rate_kpa(&rate.atrium, self.after.time_s),
             artery: artery.response_rate(&rate.artery, capacitor, self.model.settings.step_s),
             valve_resistance_kpa_s_per_ml: column.rate.valve_resistance,
             volume_before_mm3: state.volume_mm3,
-            free_volume_mm3: dot(&self.gradients_mm2[ventricle], response_mm),
+            free_volume_mm3: dot(&self.gradients_mm2[ventricle], &column.after.motion.position_mm),
         }
     }
 
-    fn next_rates(&self, column: &Column, position_mm: Vec<Vector3<f64>>, flow_rates: &[VentricleFlowRate]) -> HeartState {
-        let step_s = self.model.settings.step_s;
-        let advance = |(ventricle, rate): (usize, &VentricleState)| {
-            let (own, flow_rate) = (&column.rate.ventricles[ventricle], &flow_rates[ventricle]);
-            let VentricleModel { artery, atrium, .. } = &self.model.ventricles[ventricle];
-            let flow = (self.after.ventricles[ventricle].outflow_ml_per_s, flow_rate.outflow_ml_per_s);
-            let capacitor = (self.before.ventricles[ventricle].capacitor_pressure_kpa, rate.capacitor_pressure_kpa);
-            let capacitor_pressure_kpa = artery.advance_rate_kpa(&own.artery, capacitor, flow, step_s);
-            VentricleState {
-                volume_mm3: dot(&self.gradients_mm2[ventricle], &position_mm),
-                pressure_kpa: flow_rate.pressure_kpa,
-                capacitor_pressure_kpa,
-                arterial_pressure_kpa: artery.arterial_pressure_rate_kpa(&own.artery, capacitor_pressure_kpa, flow),
-                atrial_pressure_kpa: atrium.pressure_rate_kpa(&own.atrium, self.after.time_s),
-                outflow_ml_per_s: flow_rate.outflow_ml_per_s,
-                inflow_ml_per_s: flow_rate.inflow_ml_per_s,
-                phase: self.after.ventricles[ventricle].phase,
-                ..*rate
-            }
-        };
-        HeartState {
-            time_s: self.after.time_s,
-            ventricles: column.state.ventricles.iter().enumerate().map(advance).collect(),
-            motion: self.model.operator.advance(&column.state.motion, position_mm),
+    fn next_rates(&self, column: &Column, ventricle: usize, flow_rate: &VentricleFlowRate) -> VentricleState {
+        let VentricleModel { artery, atrium, .. } = &self.model.ventricles[ventricle];
+        let (own, state) = (&column.rate.ventricles[ventricle], &column.before.ventricles[ventricle]);
+        let flow = (self.after.ventricles[ventricle].outflow_ml_per_s, flow_rate.outflow_ml_per_s);
+        let capacitor = (self.before.ventricles[ventricle].capacitor_pressure_kpa, state.capacitor_pressure_kpa);
+        let capacitor_pressure_kpa = artery.advance_rate_kpa(&own.artery, capacitor, flow, self.model.settings.step_s);
+        VentricleState {
+            volume_mm3: dot(&self.gradients_mm2[ventricle], &column.after.motion.position_mm),
+            pressure_kpa: flow_rate.pressure_kpa,
+            capacitor_pressure_kpa,
+            arterial_pressure_kpa: artery.arterial_pressure_rate_kpa(&own.artery, capacitor_pressure_kpa, flow),
+            atrial_pressure_kpa: atrium.pressure_rate_kpa(&own.atrium, self.after.time_s),
+            outflow_ml_per_s: flow_rate.outflow_ml_per_s,
+            inflow_ml_per_s: flow_rate.inflow_ml_per_s,
+            phase: self.after.ventricles[ventricle].phase,
+            ..*state
         }
     }
-}
-
-/// Which models have no tangents.
-fn check(model: &HeartModel, loads: &[&dyn StepLoad]) -> Result<(), TangentError> {
-    let refuse = |parameter, reason| Err(TangentError::NoTangent { parameter, reason });
-    if model.settings.kinematics != Kinematics::Linear {
-        return refuse("kinematics", "those of large rotations are not differentiated");
-    }
-    if model.settings.pressure_load != PressureLoad::Reference {
-        return refuse("pressure_load", "pressures that follow the surface are not differentiated in linear kinematics");
-    }
-    if !loads.is_empty() {
-        return refuse("loads", "the loads of data are not differentiated");
-    }
-    Ok(())
 }
 
 /// The derivatives of [`HeartModel::initial_state`]: the mesh rests, under pressures that change.
@@ -305,16 +283,4 @@ fn initial_rates(model: &HeartModel, rate: &ModelRate, start: &HeartState) -> He
         motion: MotionState::at_rest(zeros),
         ventricles: start.ventricles.iter().enumerate().map(of).collect(),
     }
-}
-
-/// The flow that a state was reached with; its open valves are those of its phase.
-fn flow(state: &VentricleState) -> VentricleFlow {
-    let open = match state.phase {
-        Phase::Filling => OpenValves::Inflow,
-        Phase::Ejection if state.inflow_ml_per_s > 0.0 => OpenValves::Both,
-        Phase::Ejection => OpenValves::Outflow,
-        Phase::IsovolumetricContraction | Phase::IsovolumetricRelaxation => OpenValves::Neither,
-    };
-    let VentricleState { pressure_kpa, outflow_ml_per_s, inflow_ml_per_s, .. } = *state;
-    VentricleFlow { pressure_kpa, outflow_ml_per_s, inflow_ml_per_s, open }
 }
