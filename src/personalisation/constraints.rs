@@ -6,7 +6,7 @@ use super::{ParameterSpace, PersonalisationError};
 use crate::heart::{Parameter, Parameters, Part};
 
 /// A smooth inequality c(θ) ≤ 0 in coordinates.
-pub trait InequalityConstraint: Sync {
+pub trait InequalityConstraint: Send + Sync {
     /// What it says, for reports.
     fn label(&self) -> &str;
     /// c(θ), of the order of one.

@@ -3,6 +3,21 @@
 use crate::heart::OutOfRange;
 use crate::numerics::QpError;
 
+/// An error and its causes in one line.
+pub(super) fn chain(error: &dyn std::error::Error) -> String {
+    let mut words = error.to_string();
+    let mut cause = error.source();
+    while let Some(inner) = cause {
+        let more = inner.to_string();
+        // Transparent errors repeat their cause's words.
+        if !words.contains(&more) {
+            words = format!("{words}: {more}");
+        }
+        cause = inner.source();
+    }
+    words
+}
+
 /// Why a personalisation cannot go on. A search that ends without converging is an outcome, not an error.
 #[derive(Debug, thiserror::Error)]
 pub enum PersonalisationError {

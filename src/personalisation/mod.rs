@@ -6,11 +6,12 @@ mod constraints;
 mod error;
 mod gains;
 mod gauss_newton;
+mod journal;
 mod parameters;
 mod problem;
 mod profile;
 mod residuals;
-mod simplex;
+mod search;
 mod start_values;
 mod tables;
 mod tangents;
@@ -22,17 +23,18 @@ pub use constraints::{InequalityConstraint, LinearConstraint, RepolarisedBeforeN
 pub use error::PersonalisationError;
 pub use gains::{GainChoice, GainEvaluation, GainSearch};
 pub use gauss_newton::{
-    Calibration, CalibrationOutcome, CalibrationState, ConvergenceTest, GaussNewtonQp, GaussNewtonSettings, IterationRecord, TrustShape,
-    calibrate,
+    Calibration, CalibrationOutcome, CalibrationState, ConvergenceTest, GaussNewtonQp, GaussNewtonSettings, IterationRecord, RecordStatus,
+    TrustShape, calibrate,
 };
+pub use journal::{Computed, Journal, JournalEntry, NoEntry};
 pub use parameters::{FreeParameter, ParameterSpace, Transform};
 pub use problem::{CalibrationProblem, Evaluation, Linearisation};
 pub use profile::{ProfilePoint, RISE_95, crossing_95, profile};
 pub use residuals::{
-    BoundaryResidual, CalibrationFrame, CalibrationTrajectory, Loss, PriorResidual, StackedResidual, SurfaceTarget, Tie,
-    VolumeCurveResidual,
+    ActivationResidual, BoundaryResidual, CalibrationFrame, CalibrationTrajectory, Loss, PressureResidual, PriorResidual, StackedResidual,
+    SurfaceTarget, Tie, VolumeCurveResidual,
 };
-pub use simplex::{SimplexSearch, search_simplex};
+pub use search::{SearchMethod, SearchSettings, search};
 pub use start_values::{ElectricalTiming, PilotFit, VolumeTiming, conduction_velocity_mm_per_s, contraction_peak_for_ejection_fraction};
 pub use tables::{DataSensitivity, Table, data_sensitivities, iteration_table};
 pub use tangents::{DifferenceScheme, FiniteDifferenceModel, LinearTrajectory};
@@ -59,6 +61,9 @@ pub trait TangentModel: Sync {
     /// # Errors
     /// The model's own.
     fn simulate_with_tangents(&self, parameters: &DVector<f64>) -> WithTangents<Self::Trajectory, Self::Error>;
+
+    /// What the tangents of `dimension` parameters cost beside a simulation already done at the same point, in simulations.
+    fn tangent_cost(&self, dimension: usize) -> f64;
 }
 
 /// Rows that compare a trajectory with data, already divided by their standard deviations.

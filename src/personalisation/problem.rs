@@ -10,6 +10,7 @@ use argmin::core::{CostFunction, Error, Jacobian, Operator};
 use nalgebra::{DMatrix, DVector};
 
 use super::constraints::InequalityConstraint;
+use super::journal::{Computed, Journal, JournalEntry};
 use super::{Loss, ParameterSpace, PersonalisationError, PriorResidual, Residual, TangentModel};
 
 /// What is minimised, over which box, under which constraints.
@@ -22,13 +23,12 @@ pub struct CalibrationProblem<'a, M: TangentModel> {
     upper: DVector<f64>,
     constraints: Vec<Arc<dyn InequalityConstraint + 'a>>,
     stop: Option<&'a AtomicBool>,
+    journal: Arc<Journal<'a>>,
 }
 
 /// The objective at one point.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Evaluation<T> {
-    /// What the model did.
-    pub trajectory: T,
+pub struct Evaluation {
     /// Data rows, over their standard deviations.
     pub rows: DVector<f64>,
     /// Σ ρ(r).
@@ -39,7 +39,7 @@ pub struct Evaluation<T> {
     pub violation: f64,
 }
 
-impl<T> Evaluation<T> {
+impl Evaluation {
     /// The objective.
     pub fn cost(&self) -> f64 {
         self.data_cost + self.prior_cost
@@ -132,7 +132,8 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
         }
         let mut losses = vec![Loss::Squares; residual.row_count()];
         residual.write_losses(&mut losses);
-        Ok(Self { model, residual, losses, prior, lower, upper, constraints: Vec::new(), stop: None })
+        let (constraints, journal) = (Vec::new(), Arc::default());
+        Ok(Self { model, residual, losses, prior, lower, upper, constraints, stop: None, journal })
     }
 
     /// Adds a constraint.
@@ -149,6 +150,18 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
         self
     }
 
+    /// Takes what an earlier search of the same problem computed, and keeps what this one computes, in `journal`.
+    #[must_use]
+    pub fn with_journal(mut self, journal: Journal<'a>) -> Self {
+        self.journal = Arc::new(journal);
+        self
+    }
+
+    /// Simulations spent so far.
+    pub fn spent(&self) -> f64 {
+        self.journal.spent()
+    }
+
     /// The same problem with one coordinate held at a value (moved into its box).
     #[must_use]
     pub fn with_fixed(&self, index: usize, coordinate: f64) -> Self {
@@ -161,6 +174,7 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
             upper: self.upper.clone(),
             constraints: self.constraints.clone(),
             stop: self.stop,
+            journal: Arc::clone(&self.journal),
         };
         let value = coordinate.max(self.lower[index]).min(self.upper[index]);
         (held.lower[index], held.upper[index]) = (value, value);
@@ -214,11 +228,10 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
     ///
     /// # Errors
     /// [`PersonalisationError::Stopped`], [`PersonalisationError::Simulation`] or [`PersonalisationError::NonFiniteResidual`].
-    pub fn evaluate(&self, coordinates: &DVector<f64>) -> Result<Evaluation<M::Trajectory>, PersonalisationError> {
+    pub fn evaluate(&self, coordinates: &DVector<f64>) -> Result<Evaluation, PersonalisationError> {
         self.check_stop()?;
-        let trajectory = self.model.simulate(coordinates).map_err(|error| self.failure(coordinates, error))?;
-        let mut rows = DVector::zeros(self.residual.row_count());
-        self.residual.evaluate(&trajectory, rows.as_mut_slice());
+        let known = self.journal.rows(coordinates).map_or_else(|| self.simulate(coordinates), Ok)?;
+        let rows = known.map_err(|words| self.failure(coordinates, FailedBefore(words)))?;
         if let Some((row, &value)) = rows.iter().enumerate().find(|(_, value)| !value.is_finite()) {
             let coordinates = coordinates.iter().copied().collect();
             return Err(PersonalisationError::NonFiniteResidual { row, value, coordinates });
@@ -226,31 +239,35 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
         let data_cost = rows.iter().zip(&self.losses).map(|(&row, loss)| loss.value(row)).sum();
         let prior_cost = 0.5 * self.prior.evaluate(coordinates).norm_squared();
         let violation = self.constraints.iter().map(|constraint| constraint.value(coordinates).max(0.0)).sum();
-        Ok(Evaluation { trajectory, rows, data_cost, prior_cost, violation })
+        Ok(Evaluation { rows, data_cost, prior_cost, violation })
+    }
+
+    /// The rows of a simulation, or its failure; in the journal from now on.
+    fn simulate(&self, coordinates: &DVector<f64>) -> Result<Result<DVector<f64>, String>, PersonalisationError> {
+        let computed = match self.model.simulate(coordinates) {
+            Ok(trajectory) => {
+                let mut rows = DVector::zeros(self.residual.row_count());
+                self.residual.evaluate(&trajectory, rows.as_mut_slice());
+                Computed::Rows(rows)
+            }
+            Err(_) if self.is_stopped() => return Err(PersonalisationError::Stopped),
+            Err(error) => Computed::Failure(crate::personalisation::error::chain(&error)),
+        };
+        self.journal.write(&JournalEntry { coordinates: coordinates.clone(), computed });
+        // Charged where it is read.
+        Ok(self.journal.rows(coordinates).unwrap_or_else(|| Err("lost from the journal".to_owned())))
     }
 
     /// The linearised residuals at a point already evaluated.
     ///
     /// # Errors
     /// As [`Self::evaluate`].
-    pub fn linearise(
-        &self,
-        coordinates: &DVector<f64>,
-        evaluation: &Evaluation<M::Trajectory>,
-    ) -> Result<Linearisation, PersonalisationError> {
+    pub fn linearise(&self, coordinates: &DVector<f64>, evaluation: &Evaluation) -> Result<Linearisation, PersonalisationError> {
         self.check_stop()?;
-        let (_, tangents) = self.model.simulate_with_tangents(coordinates).map_err(|error| self.failure(coordinates, error))?;
-        if tangents.len() != self.dimension() {
-            let (found, expected) = (tangents.len(), self.dimension());
-            return Err(PersonalisationError::Shape { what: "tangents", found, expected });
-        }
         let rows = evaluation.rows.clone();
-        let mut jacobian = DMatrix::zeros(rows.len(), self.dimension());
-        let mut column = vec![0.0; rows.len()];
-        for (index, tangent) in tangents.iter().enumerate() {
-            self.residual.apply_tangent(&evaluation.trajectory, tangent, &mut column);
-            jacobian.column_mut(index).copy_from_slice(&column);
-        }
+        let cost = self.model.tangent_cost(self.dimension());
+        let known = self.journal.jacobian(coordinates, cost).filter(|jacobian| jacobian.shape() == (rows.len(), self.dimension()));
+        let jacobian = known.map_or_else(|| self.differentiate(coordinates, cost), Ok)?;
         if let Some(entry) = jacobian.iter().position(|entry| !entry.is_finite()) {
             let (row, coordinates) = (entry % rows.len().max(1), coordinates.iter().copied().collect());
             return Err(PersonalisationError::NonFiniteResidual { row, value: f64::NAN, coordinates });
@@ -259,18 +276,43 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
         Ok(Linearisation { coordinates: coordinates.clone(), rows, jacobian, losses, prior })
     }
 
+    /// The Jacobian of the rows; in the journal from now on.
+    fn differentiate(&self, coordinates: &DVector<f64>, cost: f64) -> Result<DMatrix<f64>, PersonalisationError> {
+        let (trajectory, tangents) = self.model.simulate_with_tangents(coordinates).map_err(|error| self.failure(coordinates, error))?;
+        if tangents.len() != self.dimension() {
+            let (found, expected) = (tangents.len(), self.dimension());
+            return Err(PersonalisationError::Shape { what: "tangents", found, expected });
+        }
+        let row_count = self.residual.row_count();
+        let mut jacobian = DMatrix::zeros(row_count, self.dimension());
+        let mut column = vec![0.0; row_count];
+        for (index, tangent) in tangents.iter().enumerate() {
+            self.residual.apply_tangent(&trajectory, tangent, &mut column);
+            jacobian.column_mut(index).copy_from_slice(&column);
+        }
+        let entry = JournalEntry { coordinates: coordinates.clone(), computed: Computed::Jacobian(jacobian.clone()) };
+        self.journal.write(&entry);
+        let _charged = self.journal.jacobian(coordinates, cost);
+        Ok(jacobian)
+    }
+
     fn check_stop(&self) -> Result<(), PersonalisationError> {
         if self.is_stopped() { Err(PersonalisationError::Stopped) } else { Ok(()) }
     }
 
     /// A simulation that fails after a request to stop was stopped.
-    fn failure(&self, coordinates: &DVector<f64>, error: M::Error) -> PersonalisationError {
+    fn failure(&self, coordinates: &DVector<f64>, error: impl std::error::Error + Send + Sync + 'static) -> PersonalisationError {
         if self.is_stopped() {
             return PersonalisationError::Stopped;
         }
         PersonalisationError::Simulation { coordinates: coordinates.iter().copied().collect(), source: Box::new(error) }
     }
 }
+
+/// The words of a simulation that failed, now or in an earlier search.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct FailedBefore(String);
 
 impl<M: TangentModel> CostFunction for CalibrationProblem<'_, M> {
     type Param = DVector<f64>;

@@ -107,6 +107,7 @@ mod tests {
         let space = ParameterSpace::new(Parameters::default(), vec![peak]).unwrap();
         let record = IterationRecord {
             iteration: 1,
+            status: crate::personalisation::RecordStatus::Accepted,
             cost: 2.5,
             data_cost: 2.0,
             prior_cost: 0.5,
@@ -114,6 +115,7 @@ mod tests {
             trust_radius: 1.0,
             gain_ratio: 0.9,
             trials: 2,
+            spent: 3.0,
             active_lower: vec![],
             active_upper: vec![0],
             active_constraints: vec![0],

@@ -127,6 +127,13 @@ where
             (0..parameters.len()).into_par_iter().map(|index| self.tangent(parameters, &base, index)).collect();
         Ok((base, tangents?))
     }
+
+    fn tangent_cost(&self, dimension: usize) -> f64 {
+        match self.scheme {
+            DifferenceScheme::Forward => dimension as f64,
+            DifferenceScheme::Central => 2.0 * dimension as f64,
+        }
+    }
 }
 
 #[cfg(test)]

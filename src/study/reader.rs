@@ -151,6 +151,17 @@ impl<'a> TableReader<'a> {
         found.map(|&(_, value)| value)
     }
 
+    /// A list of such words, if it is written.
+    pub(super) fn words<T: Choice>(&self, key: &'static str) -> Option<Vec<T>> {
+        let find = |text: &String| T::WORDS.iter().find(|(word, _)| word == text).map(|&(_, value)| value);
+        let found = self.texts(key)?.iter().map(find).collect::<Option<Vec<T>>>().filter(|list| !list.is_empty());
+        if found.is_none() {
+            let words = T::WORDS.iter().map(|(word, _)| format!("\"{word}\"")).collect::<Vec<_>>().join(", ");
+            self.problem(key, "is not a list of its words", format!("write some of {words} in brackets"));
+        }
+        found
+    }
+
     /// Text, if it is written.
     pub(super) fn text(&self, key: &'static str) -> Option<&'a str> {
         let text = self.value(key)?.as_str();

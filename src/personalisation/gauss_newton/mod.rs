@@ -8,7 +8,7 @@
 mod outcome;
 mod step;
 
-pub use outcome::{Calibration, CalibrationOutcome, ConvergenceTest, IterationRecord};
+pub use outcome::{Calibration, CalibrationOutcome, ConvergenceTest, IterationRecord, RecordStatus};
 
 use argmin::core::{Error, Executor, IterState, KV, Problem, Solver, TerminationReason, TerminationStatus};
 use nalgebra::{DMatrix, DVector};
@@ -75,10 +75,10 @@ impl Default for GaussNewtonSettings {
 pub type CalibrationState = IterState<DVector<f64>, (), DMatrix<f64>, (), DVector<f64>, f64>;
 
 /// The solver; [`calibrate`] runs it.
-pub struct GaussNewtonQp<'o, T> {
+pub struct GaussNewtonQp<'o> {
     settings: GaussNewtonSettings,
     observer: &'o mut dyn FnMut(&IterationRecord),
-    current: Option<Evaluation<T>>,
+    current: Option<Evaluation>,
     linearisation: Option<Linearisation>,
     radius: f64,
     /// π of the merit function.
@@ -88,12 +88,13 @@ pub struct GaussNewtonQp<'o, T> {
 }
 
 /// A point and the objective there.
-type Reached<T> = (DVector<f64>, Evaluation<T>);
+type Reached = (DVector<f64>, Evaluation);
 
 /// What became of a proposed step.
-enum Trial<T> {
-    Accepted { evaluation: Evaluation<T>, gain_ratio: f64 },
+enum Trial {
+    Accepted { evaluation: Evaluation, gain_ratio: f64 },
     Rejected,
+    Failed,
     Stopped,
 }
 
@@ -107,7 +108,7 @@ pub fn calibrate<M: TangentModel>(
     start: &DVector<f64>,
     settings: GaussNewtonSettings,
     observer: &mut dyn FnMut(&IterationRecord),
-) -> Result<Calibration<M::Trajectory>, PersonalisationError> {
+) -> Result<Calibration, PersonalisationError> {
     if start.len() != problem.dimension() {
         return Err(PersonalisationError::Shape { what: "start coordinates", found: start.len(), expected: problem.dimension() });
     }
@@ -135,10 +136,11 @@ pub fn calibrate<M: TangentModel>(
         records: solver.records,
         evaluation_count,
         linearisation_count,
+        spent: problem.spent(),
     })
 }
 
-impl<'o, T> GaussNewtonQp<'o, T> {
+impl<'o> GaussNewtonQp<'o> {
     /// A solver that has not started.
     pub fn new(settings: GaussNewtonSettings, observer: &'o mut dyn FnMut(&IterationRecord)) -> Self {
         Self {
@@ -159,7 +161,7 @@ impl<'o, T> GaussNewtonQp<'o, T> {
     }
 
     /// The test that says that θ is a minimum of the constrained problem, if one does.
-    fn convergence(&self, evaluation: &Evaluation<T>, projected_gradient: f64, proposal: &Proposal) -> Option<ConvergenceTest> {
+    fn convergence(&self, evaluation: &Evaluation, projected_gradient: f64, proposal: &Proposal) -> Option<ConvergenceTest> {
         let feasible = evaluation.violation <= FEASIBLE;
         if feasible && projected_gradient <= self.settings.gradient_tolerance {
             Some(ConvergenceTest::Gradient)
@@ -175,15 +177,15 @@ impl<'o, T> GaussNewtonQp<'o, T> {
     }
 
     /// Evaluates a proposal and adapts the radius.
-    fn attempt<M: TangentModel<Trajectory = T>>(
+    fn attempt<M: TangentModel>(
         &mut self,
         problem: &mut Problem<&CalibrationProblem<'_, M>>,
-        at: &Evaluation<T>,
+        at: &Evaluation,
         candidate: &DVector<f64>,
         proposal: &Proposal,
-    ) -> Result<Trial<T>, Error> {
+    ) -> Result<Trial, Error> {
         self.penalty = self.penalty.max(2.0 * proposal.largest_multiplier);
-        let merit = |evaluation: &Evaluation<T>| evaluation.cost() + self.penalty * evaluation.violation;
+        let merit = |evaluation: &Evaluation| evaluation.cost() + self.penalty * evaluation.violation;
         let predicted = proposal.predicted_decrease + self.penalty * (at.violation - proposal.linear_violation);
         let reached = problem.problem("cost_count", |own| Ok(own.evaluate(candidate)))?;
         let gain_ratio = match &reached {
@@ -201,18 +203,19 @@ impl<'o, T> GaussNewtonQp<'o, T> {
         }
         match reached {
             Ok(evaluation) if gain_ratio > ACCEPTABLE_GAIN => Ok(Trial::Accepted { evaluation, gain_ratio }),
-            _ => Ok(Trial::Rejected),
+            Ok(_) => Ok(Trial::Rejected),
+            Err(_) => Ok(Trial::Failed),
         }
     }
 
     /// Proposes and tries until a step is accepted or the search ends.
-    fn advance<M: TangentModel<Trajectory = T>>(
+    fn advance<M: TangentModel>(
         &mut self,
         problem: &mut Problem<&CalibrationProblem<'_, M>>,
-        evaluation: &Evaluation<T>,
+        evaluation: &Evaluation,
         linearisation: &Linearisation,
         iteration: u64,
-    ) -> Result<Option<Reached<T>>, Error> {
+    ) -> Result<Option<Reached>, Error> {
         let theta = &linearisation.coordinates;
         let mut trials = 0;
         loop {
@@ -240,9 +243,24 @@ impl<'o, T> GaussNewtonQp<'o, T> {
                     return Ok(None);
                 }
                 Trial::Rejected => {}
+                Trial::Failed => {
+                    let start = IterationRecord::at_start(&candidate, evaluation, radius, own_problem(problem)?.spent());
+                    let infinite = f64::INFINITY;
+                    self.record(IterationRecord {
+                        iteration,
+                        status: RecordStatus::Failed,
+                        cost: infinite,
+                        data_cost: infinite,
+                        step_norm: proposal.norm,
+                        gain_ratio: f64::NEG_INFINITY,
+                        trials,
+                        ..start
+                    });
+                }
                 Trial::Accepted { evaluation, gain_ratio } => {
                     self.record(IterationRecord {
                         iteration,
+                        status: RecordStatus::Accepted,
                         cost: evaluation.cost(),
                         data_cost: evaluation.data_cost,
                         prior_cost: evaluation.prior_cost,
@@ -250,6 +268,7 @@ impl<'o, T> GaussNewtonQp<'o, T> {
                         trust_radius: radius,
                         gain_ratio,
                         trials,
+                        spent: own_problem(problem)?.spent(),
                         active_lower: proposal.active_lower,
                         active_upper: proposal.active_upper,
                         active_constraints: proposal.active_constraints,
@@ -262,7 +281,7 @@ impl<'o, T> GaussNewtonQp<'o, T> {
     }
 }
 
-impl<M: TangentModel> Solver<&CalibrationProblem<'_, M>, CalibrationState> for GaussNewtonQp<'_, M::Trajectory> {
+impl<M: TangentModel> Solver<&CalibrationProblem<'_, M>, CalibrationState> for GaussNewtonQp<'_> {
     fn name(&self) -> &str {
         "Gauss-Newton with quadratic programs"
     }
@@ -274,7 +293,7 @@ impl<M: TangentModel> Solver<&CalibrationProblem<'_, M>, CalibrationState> for G
     ) -> Result<(CalibrationState, Option<KV>), Error> {
         let start = taken_param(&mut state)?;
         let evaluation = problem.problem("cost_count", |own| Ok(own.evaluate(&start)))??;
-        self.record(IterationRecord::at_start(&start, &evaluation, self.radius));
+        self.record(IterationRecord::at_start(&start, &evaluation, self.radius, own_problem(problem)?.spent()));
         let cost = evaluation.cost();
         self.current = Some(evaluation);
         Ok((state.param(start).cost(cost), None))

@@ -46,12 +46,36 @@ impl CalibrationOutcome {
     }
 }
 
-/// One accepted step; the first record is the start.
+/// What became of a step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RecordStatus {
+    /// The point the search began with.
+    Start,
+    /// A step that was taken.
+    Accepted,
+    /// A step whose simulation failed; a shorter one was tried next.
+    Failed,
+}
+
+impl RecordStatus {
+    /// The word of `iterations.csv`.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Start => "start",
+            Self::Accepted => "accepted",
+            Self::Failed => "failed",
+        }
+    }
+}
+
+/// The start, an accepted step, or one that failed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct IterationRecord {
     /// 0 at the start.
     pub iteration: u64,
-    /// Objective after the step.
+    /// What became of it.
+    pub status: RecordStatus,
+    /// Objective after the step; infinite where it failed.
     pub cost: f64,
     /// Its data part.
     pub data_cost: f64,
@@ -65,6 +89,8 @@ pub struct IterationRecord {
     pub gain_ratio: f64,
     /// Simulations tried for this step (failed ones too), without tangents.
     pub trials: u64,
+    /// Simulations spent so far, tangents included at their cost.
+    pub spent: f64,
     /// Coordinates at their lower bound.
     pub active_lower: Vec<usize>,
     /// Coordinates at their upper bound.
@@ -76,9 +102,10 @@ pub struct IterationRecord {
 }
 
 impl IterationRecord {
-    pub(super) fn at_start<T>(coordinates: &DVector<f64>, evaluation: &Evaluation<T>, trust_radius: f64) -> Self {
+    pub(in crate::personalisation) fn at_start(coordinates: &DVector<f64>, evaluation: &Evaluation, trust_radius: f64, spent: f64) -> Self {
         Self {
             iteration: 0,
+            status: RecordStatus::Start,
             cost: evaluation.cost(),
             data_cost: evaluation.data_cost,
             prior_cost: evaluation.prior_cost,
@@ -86,6 +113,7 @@ impl IterationRecord {
             trust_radius,
             gain_ratio: 1.0,
             trials: 1,
+            spent,
             active_lower: Vec::new(),
             active_upper: Vec::new(),
             active_constraints: Vec::new(),
@@ -96,11 +124,11 @@ impl IterationRecord {
 
 /// What a calibration found.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Calibration<T> {
+pub struct Calibration {
     /// Best coordinates.
     pub coordinates: DVector<f64>,
     /// The objective there.
-    pub evaluation: Evaluation<T>,
+    pub evaluation: Evaluation,
     /// The last linearisation: at `coordinates` if converged, at the point before if interrupted; `None` if there was no time for any.
     pub linearisation: Option<Linearisation>,
     /// How it ended.
@@ -111,4 +139,6 @@ pub struct Calibration<T> {
     pub evaluation_count: u64,
     /// Linearisations (p or 2p simulations each by finite differences).
     pub linearisation_count: u64,
+    /// All of it in simulations.
+    pub spent: f64,
 }

@@ -44,6 +44,10 @@ where
         let jacobian = (self.jacobian)(theta);
         Ok(((self.rows)(theta)?, jacobian.column_iter().map(|column| column.into_owned()).collect()))
     }
+
+    fn tangent_cost(&self, _: usize) -> f64 {
+        1.0
+    }
 }
 
 /// The trajectory is the residual.
@@ -89,7 +93,7 @@ fn problem_in<'a, M: TangentModel<Trajectory = DVector<f64>>>(
     CalibrationProblem::in_box(model, residual, PriorResidual::none(2), lower, upper).unwrap()
 }
 
-fn search<M: TangentModel<Trajectory = DVector<f64>>>(problem: CalibrationProblem<'_, M>, start: [f64; 2]) -> Calibration<DVector<f64>> {
+fn search<M: TangentModel<Trajectory = DVector<f64>>>(problem: CalibrationProblem<'_, M>, start: [f64; 2]) -> Calibration {
     calibrate(&problem, &DVector::from_column_slice(&start), GaussNewtonSettings::default(), &mut |_| ()).unwrap()
 }
 

@@ -132,7 +132,7 @@ mod tests {
             position_mm: heights.iter().map(|&z| Vector3::new(z * z, 1.0, z)).collect(),
             ..CalibrationFrame::default()
         };
-        CalibrationTrajectory { frames: heights.into_iter().map(frame).collect() }
+        CalibrationTrajectory { frames: heights.into_iter().map(frame).collect(), ..CalibrationTrajectory::default() }
     }
 
     /// Confidence-weighted mean of the normal distances; what slides along the plane is not seen.

@@ -1,12 +1,16 @@
-//! What is compared: volume curves and boundary distances over their standard deviations, the prior, and how outliers are weighed.
+//! What is compared: volume and pressure curves, boundary distances and depolarisation times over their standard deviations, the prior, and how outliers are weighed.
 
+mod activation;
 mod boundary;
 mod loss;
+mod pressure;
 mod trajectory;
 mod volume;
 
+pub use activation::ActivationResidual;
 pub use boundary::{BoundaryResidual, SurfaceTarget};
 pub use loss::Loss;
+pub use pressure::PressureResidual;
 pub use trajectory::{CalibrationFrame, CalibrationTrajectory};
 pub use volume::VolumeCurveResidual;
 

@@ -20,6 +20,8 @@ pub struct CalibrationFrame {
 pub struct CalibrationTrajectory {
     /// One entry an image.
     pub frames: Vec<CalibrationFrame>,
+    /// td of the vertices, s; may be empty where no times are compared.
+    pub activation_s: Vec<f64>,
 }
 
 impl LinearTrajectory for CalibrationTrajectory {
@@ -33,6 +35,7 @@ impl LinearTrajectory for CalibrationTrajectory {
                     position_mm: there.position_mm.difference_quotient(&here.position_mm, step),
                 })
                 .collect(),
+            activation_s: self.activation_s.difference_quotient(&base.activation_s, step),
         }
     }
 }

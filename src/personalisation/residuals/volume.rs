@@ -77,7 +77,7 @@ mod tests {
 
     fn trajectory(volumes_ml: &[f64]) -> CalibrationTrajectory {
         let frame = |&volume_ml: &f64| CalibrationFrame { volume_ml: vec![volume_ml], ..CalibrationFrame::default() };
-        CalibrationTrajectory { frames: volumes_ml.iter().map(frame).collect() }
+        CalibrationTrajectory { frames: volumes_ml.iter().map(frame).collect(), ..CalibrationTrajectory::default() }
     }
 
     #[test]

@@ -179,7 +179,7 @@ pub fn cost_over_iterations(file: &Path, figure: &CostHistory) -> Result<(), Rep
 }
 
 /// Ticks of a logarithmic axis, whose coordinate is the decimal logarithm.
-fn decades(low: i32, high: i32) -> Vec<Tick> {
+pub(super) fn decades(low: i32, high: i32) -> Vec<Tick> {
     let named = |decade: i32| Tick { at: f64::from(decade), label: power_of_ten(decade), is_faint: false };
     let between = |decade: i32, digit: i32| Tick { at: f64::from(decade) + f64::from(digit).log10(), label: String::new(), is_faint: true };
     let inner = (low..high).flat_map(|decade| (2..10).map(move |digit| between(decade, digit)));

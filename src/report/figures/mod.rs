@@ -1,6 +1,7 @@
 //! Figures as PNG, from plain arrays; legible in print, and told apart without colour vision (the palette of Okabe and Ito).
 
 mod chart;
+mod convergence;
 mod curves;
 mod loops;
 mod montage;
@@ -11,6 +12,7 @@ mod style;
 mod surface;
 
 pub use chart::{Curve, Look};
+pub use convergence::{Convergence, SolverCurve, convergence};
 pub use curves::{
     BeatCurves, CostHistory, TimeBand, TimeCurves, VolumeCurves, beat_curves, cost_over_iterations, time_curves, volume_curves,
 };

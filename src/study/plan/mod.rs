@@ -24,7 +24,7 @@ pub use labels::{LabelSource, LabelsPlan};
 pub use mesh_file::{LengthUnit, MeshPlan, MeshSource};
 pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite, SitePlan, TimeSchemePlan};
 pub use output::OutputPlan;
-pub use personalisation::{FreeParameter, PersonalisationPlan, Regions, VolumeData};
+pub use personalisation::{BoundaryData, DataPlan, FreeParameter, OrderPlan, PersonalisationPlan, Regions, Tangents, VolumeData};
 pub use phantom::{ContractionPlan, ModelAnatomy, PhantomPlan};
 pub use sensitivity::{SensitivityMethod, SensitivityPlan};
 pub use tracking::{BaseMode, GainChoice, TrackingPlan};
@@ -67,6 +67,15 @@ words! {
         Personalise = "personalise",
         /// Runs the heart at many points of its parameters: which of them matter.
         Sensitivity = "sensitivity",
+        /// Finds the same parameters from the same motion by several solvers.
+        CompareSolvers = "compare_solvers",
+    }
+}
+
+impl Kind {
+    /// Whether parameters are sought.
+    pub fn finds_parameters(self) -> bool {
+        matches!(self, Self::Personalise | Self::CompareSolvers)
     }
 }
 
@@ -174,8 +183,11 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
     if let Some(sensitivity) = &sensitivity {
         sensitivity::check(&root, sensitivity, images.as_ref());
     }
+    if let Some(wanted) = &personalisation {
+        check_truth(&root, images.as_ref(), &wanted.data);
+    }
     let follows_images = match kind {
-        Some(Kind::Phantom | Kind::Track | Kind::Personalise) => true,
+        Some(Kind::Phantom | Kind::Track | Kind::Personalise | Kind::CompareSolvers) => true,
         Some(Kind::Sensitivity) => images.is_some(),
         _ => false,
     };
@@ -186,10 +198,10 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
         root.problem("comparison", "is of no use here", "write kind = \"compare_schemes\", or take the table away");
     }
     match (kind, &personalisation) {
-        (Some(Kind::Personalise), None) => {
+        (Some(Kind::Personalise | Kind::CompareSolvers), None) => {
             root.missing("personalisation", "[personalisation] with a [[personalisation.parameter]] for each free parameter")
         }
-        (Some(kind), Some(_)) if kind != Kind::Personalise => {
+        (Some(kind), Some(_)) if !kind.finds_parameters() => {
             root.problem("personalisation", "is of no use here", "write kind = \"personalise\", or take the table away")
         }
         _ => {}
@@ -241,7 +253,7 @@ fn images_of(
             root.problem("phantom", "needs a heart that is known exactly", remedy);
             None
         }
-        (None, Some(phantom)) if phantom.contraction.is_some() && (!is_lv || kind == Some(Kind::Personalise)) => {
+        (None, Some(phantom)) if phantom.contraction.is_some() && (!is_lv || kind.is_some_and(Kind::finds_parameters)) => {
             let remedy = "write [anatomy.idealised_lv] and kind = \"phantom\" or \"track\", or take the table away";
             root.problem("phantom.contraction", "moves the idealised left ventricle, and has no parameters to be found", remedy);
             None
@@ -264,11 +276,26 @@ fn images_of(
             root.missing("phantom", "[phantom], which says how the heart is imaged");
             None
         }
-        (None, None) if matches!(kind, Some(Kind::Track | Kind::CompareSchemes | Kind::CompareBases | Kind::Personalise)) => {
+        (None, None)
+            if matches!(kind, Some(Kind::Track | Kind::CompareSchemes | Kind::CompareBases | Kind::Personalise | Kind::CompareSolvers)) =>
+        {
             root.missing("images", "[images] with a cine, or [phantom] to make one");
             None
         }
         (None, None) => None,
+    }
+}
+
+/// The truth is known of phantoms alone; its surfaces only where the model has the phantom's mesh.
+fn check_truth(root: &TableReader, images: Option<&ImageSource>, data: &DataPlan) {
+    let has_truth = matches!(images, Some(ImageSource::Phantom(_)));
+    let has_mesh = matches!(images, Some(ImageSource::Phantom(phantom)) if phantom.anatomy == ModelAnatomy::Truth);
+    let remedy = "write \"tracked\", or make the images by [phantom]";
+    if data.volumes == Some(VolumeData::Truth) && !has_truth {
+        root.problem("personalisation.volumes", "has no truth", remedy);
+    }
+    if data.boundary == BoundaryData::Truth && !has_mesh {
+        root.problem("personalisation.boundary", "has no truth on the model's mesh", remedy);
     }
 }
 

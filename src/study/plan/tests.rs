@@ -230,7 +230,7 @@ fn the_same_parameter_is_not_freed_twice() {
 }
 
 /// A study with every table that is optional as a whole, so that their keys are asked for.
-const LISTS: &str = "[[electrophysiology.site]]\n[[electrophysiology.region]]\n[[mechanics.region]]\n[[phantom.truth.region]]\n[[images.validation]]\n[[personalisation.parameter]]\n[phantom.contraction]\n[comparison]\n[[sensitivity.input]]\n";
+const LISTS: &str = "[[electrophysiology.site]]\n[[electrophysiology.region]]\n[[mechanics.region]]\n[[phantom.truth.region]]\n[[images.validation]]\n[[personalisation.parameter]]\n[[personalisation.order]]\n[phantom.contraction]\n[comparison]\n[[sensitivity.input]]\n";
 
 #[test]
 fn every_key_is_documented_and_every_documented_key_exists() {

@@ -40,8 +40,12 @@ words! {
     GainChoice {
         /// As the study file writes them.
         Written = "written",
-        /// By the error at boundary points that are held out.
+        /// By the error at boundary points that are held out, all surfaces alike.
         HeldOut = "held_out",
+        /// The same, one surface after the other.
+        HeldOutBySurface = "held_out_by_surface",
+        /// So that the boundary points stay as far away as their noise, `noise_mm`.
+        Discrepancy = "discrepancy",
     }
 }
 
@@ -52,6 +56,8 @@ pub struct TrackingPlan {
     pub scheme: ForceScheme,
     /// `gains`.
     pub gains: GainChoice,
+    /// `noise_mm`: of boundary points, for the discrepancy principle.
+    pub noise_mm: f64,
     /// `search_range_mm`: how far along the normal a boundary is searched, either way.
     pub search_range_mm: f64,
     /// `search_step_mm`: distance of samples along the normal.
@@ -83,6 +89,7 @@ pub(super) fn read(table: TableReader, parameters: &mut Parameters, written: &mu
     let plan = TrackingPlan {
         scheme: table.choice("scheme", ForceScheme::default()),
         gains: table.choice("gains", GainChoice::Written),
+        noise_mm: table.number("noise_mm", 0.01..=10.0, 0.5),
         search_range_mm: table.number("search_range_mm", 1.0..=50.0, boundary.range_mm),
         search_step_mm: table.number("search_step_mm", 0.05..=5.0, boundary.sample_mm),
         max_angle_deg: table.number("max_angle_deg", 5.0..=89.0, boundary.angle_none_deg),
@@ -103,7 +110,7 @@ pub(super) fn read(table: TableReader, parameters: &mut Parameters, written: &mu
         (BaseMode::Recorded, _) | (_, None) => {}
         (_, Some(_)) => table.problem("base_motion", "is of no use here", "write base = \"recorded\", or take it away"),
     }
-    if plan.gains == GainChoice::HeldOut && plan.held_out_fraction == 0.0 {
+    if matches!(plan.gains, GainChoice::HeldOut | GainChoice::HeldOutBySurface) && plan.held_out_fraction == 0.0 {
         table.problem("gains", "needs points that are held out", "choose held_out_fraction above 0, or gains = \"written\"");
     }
     table.close();

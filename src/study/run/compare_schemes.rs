@@ -9,9 +9,10 @@ use serde::Serialize;
 
 use super::error::RunError;
 use super::forward::heart_model;
+use super::gains::scaled_gains;
 use super::patient::{Patient, PatientImages};
 use super::synthetic::Truth;
-use super::track::{scaled_gains, tracker_settings};
+use super::track::tracker_settings;
 use crate::heart::{FrameState, HeartState};
 use crate::mesh::SurfaceTag;
 use crate::numerics::root_mean_square;

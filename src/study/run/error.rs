@@ -56,6 +56,9 @@ pub enum RunError {
     /// A recorded motion of the base that cannot be used.
     #[error("the base motion {} cannot be used: {reason}", file.display())]
     BaseMotion { file: std::path::PathBuf, reason: String },
+    /// A table of measurements that cannot be used.
+    #[error("the measurements {} cannot be used: {reason}", path.display())]
+    DataTable { path: PathBuf, reason: String },
     /// A file that could not be written.
     #[error(transparent)]
     Report(#[from] ReportError),

@@ -2,9 +2,10 @@
 
 use super::clock::Clock;
 use super::error::RunError;
-use super::forward::frame_volumes_lv_ml;
+use super::patient::Patient;
 use super::track::Tracked;
-use crate::anatomy::{Anatomy, Ventricle};
+use crate::anatomy::Ventricle;
+use crate::heart::FrameState;
 use crate::image::VolumeCurve;
 use crate::study::Plan;
 use crate::study::plan::{ImageSource, PersonalisationPlan, VolumeData, VolumeSource};
@@ -19,6 +20,8 @@ pub(super) struct MeasuredVolumes {
     pub(super) left_ml: Vec<f64>,
     /// Of the right ventricle, where it was measured and the heart has one.
     pub(super) right_ml: Option<Vec<f64>>,
+    /// Whether they were measured without the heart's mesh.
+    pub(super) is_measured: bool,
     pub(super) warnings: Vec<String>,
 }
 
@@ -27,16 +30,23 @@ pub(super) struct MeasuredVolumes {
 pub(super) fn measured_volumes(
     plan: &Plan,
     wanted: &PersonalisationPlan,
-    anatomy: &Anatomy,
+    patient: &Patient,
     clock: &Clock,
     tracked: &Tracked,
 ) -> Result<MeasuredVolumes, RunError> {
     let is_written = matches!(&plan.images, Some(ImageSource::Cine(images)) if images.volumes != VolumeSource::Images);
     let default = if is_written { VolumeData::Measured } else { VolumeData::Tracked };
-    if wanted.volumes.unwrap_or(default) == VolumeData::Tracked {
-        let left_ml = frame_volumes_lv_ml(&tracked.motion.trajectory);
-        return Ok(MeasuredVolumes { left_ml, right_ml: None, warnings: Vec::new() });
+    let of_frames = |frames: &[FrameState]| {
+        let right: Option<Vec<f64>> = frames.iter().map(|frame| frame.volume_ml.get(1).copied()).collect();
+        let left_ml = frames.iter().filter_map(|frame| frame.volume_ml.first().copied()).collect();
+        MeasuredVolumes { left_ml, right_ml: right, is_measured: false, warnings: Vec::new() }
+    };
+    match (wanted.data.volumes.unwrap_or(default), &patient.truth) {
+        (VolumeData::Truth, Some(truth)) => return Ok(of_frames(&truth.frames)),
+        (VolumeData::Measured, _) => {}
+        (VolumeData::Tracked | VolumeData::Truth | VolumeData::None, _) => return Ok(of_frames(&tracked.motion.trajectory.frames)),
     }
+    let anatomy = &patient.anatomy;
     let (left, right) = smooth_curves(plan)?;
     let mut warnings = Vec::new();
     let mut at_frames = |curve: &VolumeCurve, ventricle: Ventricle| -> Result<Option<Vec<f64>>, RunError> {
@@ -53,5 +63,5 @@ pub(super) fn measured_volumes(
     };
     let left_ml = at_frames(&left, Ventricle::Left)?.ok_or(RunError::NothingToFit)?;
     let right_ml = right.map(|right| at_frames(&right, Ventricle::Right)).transpose()?.flatten();
-    Ok(MeasuredVolumes { left_ml, right_ml, warnings })
+    Ok(MeasuredVolumes { left_ml, right_ml, is_measured: true, warnings })
 }

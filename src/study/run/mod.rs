@@ -4,11 +4,16 @@ mod calibration;
 mod clock;
 mod compare_bases;
 mod compare_schemes;
+mod compare_solvers;
+mod data_table;
 mod discrepancy;
 mod each_beat;
 mod error;
 mod forward;
+mod gains;
+mod heart_tangents;
 mod imaged_beat;
+mod journal;
 mod leave;
 mod measured;
 mod mesh_file;
@@ -17,11 +22,13 @@ mod mesh_overlays;
 mod montages;
 mod parameter_rows;
 mod patient;
+mod personal_tables;
 mod personalise;
 mod phantom;
 mod pictures;
 mod recorded_base;
 mod recovery;
+mod search;
 mod sensitivity;
 mod side_by_side;
 mod simulate;
@@ -56,6 +63,7 @@ pub fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
         Kind::CompareSchemes => compare_schemes::run(plan, context),
         Kind::Personalise => personalise::run(plan, context),
         Kind::Sensitivity => sensitivity::run(plan, context),
+        Kind::CompareSolvers => compare_solvers::run(plan, context),
     }
 }
 

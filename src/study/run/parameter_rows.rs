@@ -1,8 +1,9 @@
 //! `parameters.csv` and its figure: what was found, the gains that were chosen, and everything that was held.
 
+use super::gains::{ChosenGains, GAIN_FACTORS};
 use super::personalise::Personalised;
 use super::recovery::Recovery;
-use super::track::{GAIN_FACTORS, Tracked};
+use super::track::Tracked;
 use crate::heart::{Parameter, Parameters, Part, RegionalParameter};
 use crate::personalisation::{BoundState, FreeParameter, ParameterEstimate, estimates};
 use crate::report::ParameterRow;
@@ -11,9 +12,9 @@ use crate::report::figures::ParameterInterval;
 /// The parameters found, then the gains that the images were tracked with, then all that the study does not seek.
 pub(super) fn parameter_rows(found: &Personalised, tracked: &Tracked, written: &Parameters) -> Vec<ParameterRow> {
     let listed = found.space.all();
-    let estimates = estimates(&found.space, &found.calibration.coordinates, found.uncertainty.as_ref());
+    let estimates = estimates(&found.space, &found.found.calibration.coordinates, found.found.uncertainty.as_ref());
     let mut rows: Vec<ParameterRow> = estimates.into_iter().zip(listed).map(|(one, entry)| estimated(one, entry)).collect();
-    let gains: Vec<_> = tracked.gain_choice.iter().flat_map(|choice| gain_rows(choice.at_edge, tracked, written)).collect();
+    let gains: Vec<_> = tracked.gain_choices.iter().flat_map(|chosen| gain_rows(chosen, tracked, written)).collect();
     let is_listed = |regional: RegionalParameter| {
         listed.iter().any(|entry| entry.parameter == regional) || gains.iter().any(|row| row.parameter == regional.name())
     };
@@ -75,10 +76,15 @@ fn held(regional: RegionalParameter, value: f64) -> ParameterRow {
     }
 }
 
-/// The gains chosen on held-out boundary points.
-fn gain_rows(at_bound: bool, tracked: &Tracked, written: &Parameters) -> Vec<ParameterRow> {
-    let gains = [(Parameter::ImageGainEndocardiumLv, "endocardium_lv"), (Parameter::ImageGainEpicardium, "epicardium")];
-    let row = |(gain, region): (Parameter, &str)| {
+/// The gains chosen from the images.
+fn gain_rows(chosen: &ChosenGains, tracked: &Tracked, written: &Parameters) -> Vec<ParameterRow> {
+    let at_bound = chosen.choice.at_edge;
+    let row = |&gain: &Parameter| {
+        let region = match gain {
+            Parameter::ImageGainEndocardiumLv => "endocardium_lv",
+            Parameter::ImageGainEndocardiumRv => "endocardium_rv",
+            _ => "epicardium",
+        };
         let (lower, upper) = (written[gain] * GAIN_FACTORS.lower, written[gain] * GAIN_FACTORS.upper);
         let value = tracked.parameters[gain];
         let state = match at_bound {
@@ -88,7 +94,7 @@ fn gain_rows(at_bound: bool, tracked: &Tracked, written: &Parameters) -> Vec<Par
         };
         ParameterRow { region: region.into(), initial: written[gain], lower, upper, at_bound, state, ..held(gain.into(), value) }
     };
-    gains.into_iter().map(row).collect()
+    chosen.gains.iter().map(row).collect()
 }
 
 /// The row as the figure shows it.

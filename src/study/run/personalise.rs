@@ -1,48 +1,63 @@
 //! `kind = "personalise"`: track the images, take the volume curve and the boundaries, find the parameters of the free heart, rescore it
 //! without image forces, say how sure that is.
 
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 use nalgebra::DVector;
 use serde::Serialize;
 
-use super::calibration::{calibration_trajectory, residual, simulate_at};
+use super::calibration::residual;
 use super::clock::Clock;
 use super::discrepancy::{work_magnitude_mj, write_discrepancy};
 use super::error::RunError;
 use super::forward::{beat, frame_volumes_lv_ml, heart_model, step_count};
+use super::gains::boundary_rms_mm;
 use super::leave::{BeatSummary, FrameRow, Summary, frame_rows, write_base_motion, write_beat, write_series};
 use super::measured::{MeasuredVolumes, measured_volumes};
 use super::montages::{NamedMotion, montages};
 use super::parameter_rows::{interval, parameter_rows};
 use super::patient::{Patient, PatientImages};
+use super::personal_tables::{verdict, write_tables};
 use super::pictures;
 use super::recovery::{Recovery, difference_rms, recovery};
-use super::start::start_space;
-use super::track::{Tracked, held_out_rms_mm, surface_rms_mm, track_patient, validate};
+use super::search::{Found, ProfileInterval, Task, find, journal_of};
+use super::start::{StageRow, start_space};
+use super::track::{Tracked, held_out_rms_mm, surface_rms_mm, track_again, track_patient, validate};
 use crate::heart::{HeartModel, Parameter, Trajectory};
 use crate::mesh::{MeshQuality, SurfaceTag};
-use crate::personalisation::{
-    Calibration, CalibrationOutcome, CalibrationProblem, CalibrationTrajectory, DifferenceScheme, FiniteDifferenceModel, FreeParameter,
-    GainEvaluation, GaussNewtonSettings, NoiseScale, ParameterSpace, StackedResidual, Uncertainty, calibrate,
-};
+use crate::personalisation::{CalibrationOutcome, GainEvaluation, ParameterSpace};
 use crate::report::figures::{CostHistory, Curve, Look, cost_over_iterations, parameter_intervals};
-use crate::report::{IterationRow, ParameterRow, write_csv, write_iterations, write_json};
+use crate::report::{ParameterRow, write_csv, write_json};
 use crate::study::plan::PersonalisationPlan;
-use crate::study::{Outcome, Plan, RunContext, Status};
-
-/// Relative step of the finite differences, in the coordinates (a logarithm where the parameter is positive).
-const DIFFERENCE_STEP: f64 = 2e-3;
+use crate::study::{Choice, Outcome, Plan, RunContext, Status};
 
 /// What a calibration started from and came to.
 pub(super) struct Personalised {
     pub(super) space: ParameterSpace,
-    pub(super) calibration: Calibration<CalibrationTrajectory>,
-    pub(super) uncertainty: Option<Uncertainty>,
+    pub(super) found: Found,
+    pub(super) stages: Vec<StageRow>,
+    pub(super) rounds: Vec<RoundRow>,
     pub(super) model: HeartModel,
     pub(super) fitted: Trajectory,
     initial: Trajectory,
     measured: MeasuredVolumes,
+    /// The images tracked once more with the heart that was found, at the gains of the first time.
+    retracked: Option<Tracked>,
+}
+
+/// A row of `rounds.csv`: images tracked, parameters found.
+#[derive(Debug, Clone, Serialize)]
+#[allow(missing_docs, reason = "the names are the columns of the file, units last")]
+pub(super) struct RoundRow {
+    round: usize,
+    gain_factor: f64,
+    image_work_mj: f64,
+    boundary_rms_held_out_mm: f64,
+    volume_tracked_rms_ml: f64,
+    cost: f64,
+    simulations: f64,
+    status: &'static str,
 }
 
 /// Runs the whole thread and leaves its files.
@@ -52,66 +67,85 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let (Some(images), Some(wanted)) = (&patient.images, &plan.personalisation) else { return Err(RunError::NothingToFit) };
     let clock = patient.clock(plan.simulation.beats.count());
     let tracked = track_patient(plan, &patient, images, patient.parameters.clone(), context)?;
-    let personalised = personalise(plan, wanted, &patient, &clock, &tracked, context)?;
+    let scene = Scene { plan, wanted, patient: &patient, images, clock: &clock };
+    let personalised = personalise(&scene, &tracked, context)?;
     context.progress().stage("writing results", None);
-    let outcome = leave(plan, &patient, images, &clock, &tracked, &personalised, started)?;
+    let outcome = leave(&scene, &tracked, &personalised, started)?;
     context.progress().finish();
     Ok(outcome)
 }
 
-fn personalise(
-    plan: &Plan,
-    wanted: &PersonalisationPlan,
-    patient: &Patient,
-    clock: &Clock,
-    tracked: &Tracked,
-    context: &RunContext,
-) -> Result<Personalised, RunError> {
-    let measured = measured_volumes(plan, wanted, &patient.anatomy, clock, tracked)?;
-    let residual = residual(wanted, &patient.anatomy, &measured, tracked)?;
+/// What a personalisation works on.
+struct Scene<'a> {
+    plan: &'a Plan,
+    wanted: &'a PersonalisationPlan,
+    patient: &'a Patient,
+    images: &'a PatientImages,
+    clock: &'a Clock,
+}
+
+fn personalise(scene: &Scene, tracked: &Tracked, context: &RunContext) -> Result<Personalised, RunError> {
+    let &Scene { plan, wanted, patient, images, clock } = scene;
     let base = heart_model(&plan.model, &patient.anatomy, patient.parameters.clone())?;
-    let space = start_space(wanted, &base, clock, &measured.left_ml, context)?;
-
-    let (calibration, uncertainty) = search(wanted, &base, &space, clock, &residual, context)?;
-
+    let mut measured = measured_volumes(plan, wanted, patient, clock, tracked)?;
+    let (space, mut stages) = start_space(wanted, &base, clock, &measured.left_ml, context)?;
+    let found_at =
+        |coordinates: &DVector<f64>| -> Result<HeartModel, RunError> { Ok(base.with_parameters(space.to_parameters(coordinates)?)?) };
+    let (mut rounds, mut found, mut again) = (Vec::new(), None::<Found>, None);
+    for round in 1..=wanted.rounds {
+        let gain_factor = wanted.gain_decay.powi(round as i32 - 1);
+        let mut start = space.initial();
+        if let Some(earlier) = &found {
+            start = earlier.calibration.coordinates.clone();
+            again = Some(track_again(plan, patient, images, found_at(&start)?.parameters(), tracked, gain_factor, context)?);
+        }
+        let tracked = again.as_ref().unwrap_or(tracked);
+        measured = measured_volumes(plan, wanted, patient, clock, tracked)?;
+        let residual = residual(&wanted.data, patient, clock, &measured, tracked)?;
+        let task = Task { wanted, base: &base, space: &space, clock, residual: &residual };
+        let journal = journal_of(plan, &format!("round_{round}"), &plan.provenance)?;
+        let one = find(&task, wanted.solver, &start, Some(&journal), context)?;
+        rounds.push(RoundRow::new(round, gain_factor, tracked, &measured, &one));
+        let is_stopped = context.is_stopped();
+        if !is_stopped {
+            journal.discard();
+        }
+        found = Some(one);
+        if is_stopped {
+            break;
+        }
+    }
+    let found = found.ok_or(RunError::NothingToFit)?;
+    stages.extend(last_stage(&space, &found));
     context.progress().stage("rescoring without image forces", Some(step_count(clock, plan.model.step_s)));
-    let model = base.with_parameters(space.to_parameters(&calibration.coordinates)?)?;
+    let model = found_at(&found.calibration.coordinates)?;
     let fitted = beat(&model, clock, &[], context)?;
-    let initial = beat(&base.with_parameters(space.to_parameters(&space.initial())?)?, clock, &[], context)?;
-    Ok(Personalised { space, calibration, uncertainty, model, fitted, initial, measured })
+    let initial = beat(&found_at(&space.initial())?, clock, &[], context)?;
+    let is_retracked = wanted.retrack && !context.is_stopped();
+    let retracked = is_retracked.then(|| track_again(plan, patient, images, model.parameters(), tracked, 1.0, context)).transpose()?;
+    Ok(Personalised { space, found, stages, rounds, model, fitted, initial, measured, retracked })
 }
 
-/// Gauss–Newton from the start of `space`.
-fn search(
-    wanted: &PersonalisationPlan,
-    base: &HeartModel,
-    space: &ParameterSpace,
-    clock: &Clock,
-    residual: &StackedResidual<CalibrationTrajectory>,
-    context: &RunContext,
-) -> Result<(Calibration<CalibrationTrajectory>, Option<Uncertainty>), RunError> {
-    let is_stopped = || context.is_stopped();
-    let simulate = |coordinates: &DVector<f64>| {
-        simulate_at(base, space, clock, coordinates, &is_stopped).map(|trajectory| calibration_trajectory(&trajectory))
-    };
-    let steps = DVector::from_iterator(space.dimension(), space.free().map(difference_step));
-    let model = FiniteDifferenceModel::new(simulate, DifferenceScheme::Forward, steps, space.lower(), space.upper());
-    let problem = CalibrationProblem::new(&model, residual, space)?.with_stop_flag(context.stop());
-    let settings = GaussNewtonSettings {
-        max_iterations: wanted.max_iterations as u64,
-        step_tolerance: wanted.tolerance,
-        ..GaussNewtonSettings::default()
-    };
-    context.progress().stage("finding the parameters", Some(wanted.max_iterations as u64));
-    let calibration = calibrate(&problem, &space.initial(), settings, &mut |record| context.progress().step(record.iteration))?;
-    let uncertainty = calibration.linearisation.as_ref().map(|at| Uncertainty::new(&problem, at, NoiseScale::FromResiduals)).transpose()?;
-    Ok((calibration, uncertainty))
+/// The rows of `stages.csv` for all parameters together.
+fn last_stage(space: &ParameterSpace, found: &Found) -> Vec<StageRow> {
+    let values = space.to_values(&found.calibration.coordinates);
+    let row = |(parameter, value)| StageRow { stage: "all", simulations: found.calibration.spent, parameter, value };
+    space.names().into_iter().zip(values).map(row).collect()
 }
 
-/// A step that is relative in a logarithm, and a small part of the bounds otherwise.
-fn difference_step(free: &FreeParameter) -> f64 {
-    let width = free.transform.to_coordinate(free.upper) - free.transform.to_coordinate(free.lower);
-    DIFFERENCE_STEP * width.min(1.0)
+impl RoundRow {
+    fn new(round: usize, gain_factor: f64, tracked: &Tracked, measured: &MeasuredVolumes, found: &Found) -> Self {
+        Self {
+            round,
+            gain_factor,
+            image_work_mj: work_magnitude_mj(&tracked.motion),
+            boundary_rms_held_out_mm: held_out_rms_mm(&tracked.motion),
+            volume_tracked_rms_ml: difference_rms(&frame_volumes_lv_ml(&tracked.motion.trajectory), &measured.left_ml),
+            cost: found.calibration.evaluation.cost(),
+            simulations: found.calibration.spent,
+            status: found.calibration.outcome.status(),
+        }
+    }
 }
 
 /// `summary.json` of a personalisation, beside the beat.
@@ -129,9 +163,19 @@ struct Details {
     volume_rms_rv_ml: Option<f64>,
     calibration_status: &'static str,
     iterations: usize,
-    simulations: u64,
+    simulations: f64,
+    solver: &'static str,
+    /// Root mean square of every part of the data over its standard deviations.
+    residual_rms: BTreeMap<&'static str, f64>,
+    /// Bounds and constraints that hold the answer.
+    active: Vec<String>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    profile_intervals: Vec<ProfileInterval>,
     verdict: Vec<String>,
     tracking: TrackingSummary,
+    /// The same images tracked with the heart that was found.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tracking_personalised: Option<TrackingSummary>,
     validation: Vec<ValidationSummary>,
     #[serde(skip_serializing_if = "Option::is_none")]
     recovery: Option<Recovery>,
@@ -143,6 +187,7 @@ struct Details {
 pub(super) struct TrackingSummary {
     boundary_rms_endocardium_lv_mm: Option<f64>,
     boundary_rms_epicardium_mm: Option<f64>,
+    boundary_rms_mm: f64,
     boundary_rms_held_out_mm: f64,
     image_gain_endocardium_lv_kpa_per_mm: f64,
     image_gain_epicardium_kpa_per_mm: f64,
@@ -185,12 +230,13 @@ pub(super) fn tracking_summary(tracked: &Tracked) -> TrackingSummary {
     TrackingSummary {
         boundary_rms_endocardium_lv_mm: surface_rms_mm(&tracked.motion, SurfaceTag::EndocardiumLv),
         boundary_rms_epicardium_mm: surface_rms_mm(&tracked.motion, SurfaceTag::Epicardium),
+        boundary_rms_mm: boundary_rms_mm(&tracked.motion),
         boundary_rms_held_out_mm: held_out_rms_mm(&tracked.motion),
         image_gain_endocardium_lv_kpa_per_mm: tracked.parameters[Parameter::ImageGainEndocardiumLv],
         image_gain_epicardium_kpa_per_mm: tracked.parameters[Parameter::ImageGainEpicardium],
         image_gain_base_kpa_per_mm: tracked.parameters[Parameter::ImageGainBase],
         image_work_mj: work_magnitude_mj(&tracked.motion),
-        gain_factors_tried: tracked.gain_choice.iter().flat_map(|choice| choice.evaluations.iter().copied()).collect(),
+        gain_factors_tried: tracked.gain_choices.iter().flat_map(|chosen| chosen.choice.evaluations.iter().copied()).collect(),
     }
 }
 
@@ -214,7 +260,7 @@ fn right_rms_ml(trajectory: &Trajectory, measured: &MeasuredVolumes) -> Option<f
     Some(difference_rms(&volumes_ml, measured.right_ml.as_ref()?))
 }
 
-fn status_of(outcome: &CalibrationOutcome) -> Status {
+pub(super) fn status_of(outcome: &CalibrationOutcome) -> Status {
     match outcome {
         CalibrationOutcome::Converged(_) | CalibrationOutcome::Stalled => Status::Converged,
         CalibrationOutcome::OnBound(_) => Status::OnBound,
@@ -224,15 +270,8 @@ fn status_of(outcome: &CalibrationOutcome) -> Status {
     }
 }
 
-fn leave(
-    plan: &Plan,
-    patient: &Patient,
-    images: &PatientImages,
-    clock: &Clock,
-    tracked: &Tracked,
-    found: &Personalised,
-    started: Instant,
-) -> Result<Outcome, RunError> {
+fn leave(scene: &Scene, tracked: &Tracked, found: &Personalised, started: Instant) -> Result<Outcome, RunError> {
+    let &Scene { plan, patient, images, clock, wanted } = scene;
     let folder = &plan.output.directory;
     let truth_ml: &[f64] = patient.truth.as_ref().map_or(&[], |truth| &truth.volumes_lv_ml);
     let rows: Vec<FrameRow> = frame_rows(clock, &found.fitted, Some(tracked), &found.measured.left_ml, truth_ml);
@@ -245,13 +284,14 @@ fn leave(
     write_base_motion(folder, clock, &found.model, &tracked.motion.trajectory)?;
     let parameters = parameter_rows(found, tracked, &patient.parameters);
     write_csv(&folder.join("parameters.csv"), &parameters)?;
-    write_iterations(&folder.join("iterations.csv"), &found.space.names(), &iteration_rows(found))?;
+    write_tables(folder, found)?;
     let recovery = recovery(plan, patient, tracked, found);
     if plan.output.figures {
-        draw(plan, patient, images, clock, tracked, found, recovery.as_ref())?;
+        draw(scene, tracked, found, recovery.as_ref())?;
     }
     let measured = Measured::of(&found.measured.left_ml);
-    let status = status_of(&found.calibration.outcome);
+    let calibration = &found.found.calibration;
+    let status = if found.found.violated.is_empty() { status_of(&calibration.outcome) } else { Status::Failed };
     let details = Details {
         measured_ejection_fraction_lv: measured.ejection_fraction(),
         measured_end_diastolic_volume_lv_ml: measured.largest_ml,
@@ -260,11 +300,16 @@ fn leave(
         volume_rms_ml: difference_rms(&frame_volumes_lv_ml(&found.fitted), &found.measured.left_ml),
         volume_rms_rv_initial_ml: right_rms_ml(&found.initial, &found.measured),
         volume_rms_rv_ml: right_rms_ml(&found.fitted, &found.measured),
-        calibration_status: found.calibration.outcome.status(),
-        iterations: found.calibration.records.len().saturating_sub(1),
-        simulations: found.calibration.evaluation_count + found.calibration.linearisation_count * found.space.dimension() as u64,
-        verdict: found.uncertainty.as_ref().map(|uncertainty| uncertainty.verdict(&found.space.names())).unwrap_or_default(),
+        calibration_status: calibration.outcome.status(),
+        iterations: calibration.records.len().saturating_sub(1),
+        simulations: calibration.spent,
+        solver: wanted.solver.word(),
+        residual_rms: found.found.rms_by_part.iter().copied().collect(),
+        active: found.found.active.clone(),
+        profile_intervals: found.found.profile_intervals.clone(),
+        verdict: verdict(&found.found, &found.space),
         tracking: tracking_summary(tracked),
+        tracking_personalised: found.retracked.as_ref().map(tracking_summary),
         validation: validation_summary(patient, images, tracked),
         recovery,
     };
@@ -326,32 +371,8 @@ fn headlines(details: &Details, parameters: &[ParameterRow]) -> Vec<String> {
     lines
 }
 
-fn iteration_rows(found: &Personalised) -> Vec<IterationRow> {
-    let mut simulations = 0;
-    let dimension = found.space.dimension();
-    let row = |record: &crate::personalisation::IterationRecord| {
-        simulations += record.trials as usize + dimension;
-        IterationRow {
-            iteration: record.iteration as usize,
-            cost: record.cost,
-            step: record.step_norm,
-            simulations,
-            status: if record.iteration == 0 { "start".into() } else { "accepted".into() },
-            values: found.space.to_values(&record.coordinates),
-        }
-    };
-    found.calibration.records.iter().map(row).collect()
-}
-
-fn draw(
-    plan: &Plan,
-    patient: &Patient,
-    images: &PatientImages,
-    clock: &Clock,
-    tracked: &Tracked,
-    found: &Personalised,
-    recovery: Option<&Recovery>,
-) -> Result<(), RunError> {
+fn draw(scene: &Scene, tracked: &Tracked, found: &Personalised, recovery: Option<&Recovery>) -> Result<(), RunError> {
+    let &Scene { plan, patient, images, clock, .. } = scene;
     let folder = &plan.output.directory;
     let tracked_ml = frame_volumes_lv_ml(&tracked.motion.trajectory);
     let mut further = vec![
@@ -366,7 +387,7 @@ fn draw(
         NamedMotion { name: "personalised model, no image forces", frames: &found.fitted.frames },
     ];
     montages(plan, patient, images, clock, &motions)?;
-    let cost = found.calibration.records.iter().map(|record| record.cost).collect();
+    let cost = found.found.calibration.records.iter().map(|record| record.cost).filter(|cost| cost.is_finite()).collect();
     cost_over_iterations(&folder.join("cost.png"), &CostHistory { title: "Cost of the calibration".into(), cost })?;
     let sought = parameter_rows(found, tracked, &patient.parameters).into_iter().filter(|row| row.state != "fixed");
     let intervals: Vec<_> = sought.map(|row| interval(row, recovery)).collect();

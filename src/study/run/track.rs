@@ -4,13 +4,13 @@ use std::ops::ControlFlow;
 
 use super::error::RunError;
 use super::forward::{heart_model, step_count};
+use super::gains::{ChosenGains, GAINS, Trial, choose_gains, scaled_gains};
 use super::patient::{Patient, PatientImages};
 use super::recorded_base::read_base_motion;
 use crate::heart::{HeartModel, Parameter, Parameters};
 use crate::mesh::SurfaceTag;
-use crate::personalisation::{self, GainSearch};
 use crate::study::RunContext;
-use crate::study::plan::{BaseMode, GainChoice, Plan};
+use crate::study::plan::{BaseMode, Plan};
 use crate::tracking::{
     self, BaseMode as TrackerBase, BlockMatchingSettings, BoundarySettings, CavityAgreement, TrackedMotion, TrackerSettings, track,
 };
@@ -19,8 +19,8 @@ use crate::tracking::{
 pub(super) struct Tracked {
     pub(super) motion: TrackedMotion,
     pub(super) parameters: Parameters,
-    /// The factors on the gains that were tried, with the error at the held-out points, where the study lets the data choose.
-    pub(super) gain_choice: Option<personalisation::GainChoice>,
+    /// The factors on the gains that were tried, with their errors, where the study lets the data choose.
+    pub(super) gain_choices: Vec<ChosenGains>,
 }
 
 /// Tracks a patient with the heart of `parameters`.
@@ -33,25 +33,42 @@ pub(super) fn track_patient(
 ) -> Result<Tracked, RunError> {
     let model = heart_model(&plan.model, &patient.anatomy, parameters)?;
     let settings = tracker_settings(plan, patient, images)?;
-    let gain_choice = match plan.tracking.gains {
-        GainChoice::Written => None,
-        GainChoice::HeldOut => Some(choose_gains(&model, images, &settings, context)?),
-    };
-    let factor = gain_choice.as_ref().map_or(1.0, |choice| choice.gain);
-    let model = model.with_parameters(scaled_gains(model.parameters(), factor)?)?;
+    let trial = Trial { images, settings: &settings, context };
+    let (model, gain_choices) = choose_gains(model, plan.tracking.gains, plan.tracking.noise_mm, &trial)?;
     context.progress().stage("tracking the images", Some(steps(plan, patient)));
     let motion = tracked_beat(&model, images, &settings, context)?;
     for warning in &motion.warnings {
         context.progress().warning(warning);
     }
-    Ok(Tracked { motion, parameters: model.parameters().clone(), gain_choice })
+    Ok(Tracked { motion, parameters: model.parameters().clone(), gain_choices })
+}
+
+/// Tracks the same images with the heart of other `parameters`, at `factor` times the gains of an earlier time.
+pub(super) fn track_again(
+    plan: &Plan,
+    patient: &Patient,
+    images: &PatientImages,
+    parameters: &Parameters,
+    earlier: &Tracked,
+    factor: f64,
+    context: &RunContext,
+) -> Result<Tracked, RunError> {
+    let mut parameters = parameters.clone();
+    for gain in GAINS {
+        parameters.set(gain, earlier.parameters[gain])?;
+    }
+    let model = heart_model(&plan.model, &patient.anatomy, scaled_gains(&parameters, factor)?)?;
+    let settings = tracker_settings(plan, patient, images)?;
+    context.progress().stage("tracking the images with the heart that was found", Some(steps(plan, patient)));
+    let motion = tracked_beat(&model, images, &settings, context)?;
+    Ok(Tracked { motion, parameters: model.parameters().clone(), gain_choices: Vec::new() })
 }
 
 fn steps(plan: &Plan, patient: &Patient) -> u64 {
     step_count(&patient.clock(1), plan.model.step_s)
 }
 
-fn tracked_beat(
+pub(super) fn tracked_beat(
     model: &HeartModel,
     images: &PatientImages,
     settings: &TrackerSettings,
@@ -65,53 +82,6 @@ fn tracked_beat(
     };
     let motion = track(model, &images.cine, settings, &mut observer)?;
     if motion.trajectory.stopped { Err(RunError::Stopped) } else { Ok(motion) }
-}
-
-/// Factors on the written gains between which the data choose.
-pub(super) const GAIN_FACTORS: GainSearch = GainSearch { lower: 0.25, upper: 4.0, scan_count: 3, tolerance_decades: 0.6 };
-/// The held-out error may be this much larger than the least for a smaller gain, which leaves more to the model.
-const HELD_OUT_SLACK: f64 = 1.1;
-
-/// One factor on all image gains: the smallest that meets the boundary points that pull on nothing nearly as well as the best one.
-fn choose_gains(
-    model: &HeartModel,
-    images: &PatientImages,
-    settings: &TrackerSettings,
-    context: &RunContext,
-) -> Result<personalisation::GainChoice, RunError> {
-    context.progress().stage("choosing the image gains", None);
-    let mut stopped = false;
-    let held_out = |factor: f64| {
-        let attempt = || -> Result<f64, RunError> {
-            let model = model.with_parameters(scaled_gains(model.parameters(), factor)?)?;
-            Ok(held_out_rms_mm(&tracked_beat(&model, images, settings, context)?))
-        };
-        let found = attempt();
-        stopped |= matches!(found, Err(RunError::Stopped));
-        found.ok()
-    };
-    let choice = GAIN_FACTORS.by_held_out(held_out);
-    if stopped {
-        return Err(RunError::Stopped);
-    }
-    let mut choice = choice?;
-    let good_enough = choice.evaluations.iter().filter(|tried| tried.residual_rms <= HELD_OUT_SLACK * choice.residual_rms);
-    if let Some(smallest) = good_enough.min_by(|a, b| a.gain.total_cmp(&b.gain)).copied() {
-        let is_end = |end: f64| (smallest.gain / end).ln().abs() < 1e-9;
-        (choice.gain, choice.residual_rms) = (smallest.gain, smallest.residual_rms);
-        choice.at_edge = is_end(GAIN_FACTORS.lower) || is_end(GAIN_FACTORS.upper);
-    }
-    Ok(choice)
-}
-
-/// All image gains of endocardia and epicardium times `factor`.
-pub(super) fn scaled_gains(parameters: &Parameters, factor: f64) -> Result<Parameters, RunError> {
-    let gains = [Parameter::ImageGainEndocardiumLv, Parameter::ImageGainEndocardiumRv, Parameter::ImageGainEpicardium];
-    let mut scaled = parameters.clone();
-    for gain in gains {
-        scaled.set(gain, parameters[gain] * factor)?;
-    }
-    Ok(scaled)
 }
 
 /// Root mean square distance of the held-out points of all surfaces over all frames, mm.
