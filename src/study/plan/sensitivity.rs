@@ -78,7 +78,7 @@ pub(super) fn read(config: &Config, table: TableReader, parameters: &Parameters)
         SensitivityMethod::Morris => "levels",
         SensitivityMethod::Sobol => "rows",
     };
-    let said = |error: SensitivityError| table.problem(of_method, format!("makes no design: {error}"), "correct it");
+    let said = |error: SensitivityError| table.problem(of_method, format!("makes no design: {error}"), "choose another value");
     let design = if inputs.is_empty() { None } else { design.map_err(said).ok() };
     table.close();
     Some(SensitivityPlan { method, seed, inputs, outputs, design: design?, shard: None, document_hash: document_hash(config) })
@@ -115,7 +115,7 @@ fn check_outputs(table: &TableReader, outputs: &[String]) {
     for (number, name) in outputs.iter().enumerate() {
         if segment_figure(name).is_none() && !plain().any(|known| known == name) {
             let near = plain().min_by_key(|known| strsim::damerau_levenshtein(name, known)).map_or("", |near| near);
-            let remedy = format!("did you mean \"{near}\"? All names are in docs/study_file.md");
+            let remedy = format!("did you mean \"{near}\"? all names are in docs/many_runs.md");
             table.problem("outputs", format!("has \"{name}\", which is no figure of a beat"), remedy);
         }
         if outputs[..number].contains(name) {
