@@ -249,7 +249,7 @@ fn reason(error: &dyn Error) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Whether a patient's folder holds the summary of a run that came to an end.
+/// The summary of the run in a patient's folder.
 fn summary_file(folder: &Path) -> PathBuf {
     folder.join("summary.json")
 }
