@@ -345,4 +345,7 @@ fn labels_are_meshed_beside_their_volumes_and_bad_ones_are_refused() {
     let bare = labels.replace("ED", "ES");
     let answer = cardiotwin(&["mesh", &bare, "-q"]);
     assert!(answer.code == 2 && answer.err.contains("closed wall (label 2)"), "{}", answer.err);
+    assert!(answer.err.contains("set wall_thickness_lv_mm"), "{}", answer.err);
+    let walled = cardiotwin(&["mesh", &bare, "-o", mesh, "--edge-length-mm", "7", "-q", "--set", "anatomy.wall_thickness_lv_mm=8"]);
+    assert!(walled.code == 0 && walled.out.contains("(masks 183.7, "), "{} {}", walled.out, walled.err);
 }

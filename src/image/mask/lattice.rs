@@ -60,19 +60,21 @@ impl Lattice {
         values
     }
 
-    /// Signed distances to all shapes of a heart; with a thickness, a wall is grown around its right cavity.
-    pub(super) fn fill_all(&self, shapes: &HeartShapes, grown_mm: Option<f64>) -> NodeDistances {
+    /// Signed distances to all shapes of a heart, with the walls that are grown.
+    pub(super) fn fill_all(&self, shapes: &HeartShapes, stack: &SliceStack) -> NodeDistances {
+        let cavity_mm = self.fill(&shapes.cavity);
         let cavity_rv_mm = shapes.cavity_rv.as_ref().map(|shape| self.fill(shape));
         let mut epicardium_mm = self.fill(&shapes.outline);
-        let labelled_mm = match (&cavity_rv_mm, grown_mm) {
-            (Some(right_mm), Some(thickness_mm)) => {
-                let labelled_mm = epicardium_mm.clone();
-                grow_rv_wall(&mut epicardium_mm, right_mm, thickness_mm);
-                Some(labelled_mm)
-            }
-            _ => None,
-        };
-        NodeDistances { cavity_mm: self.fill(&shapes.cavity), cavity_rv_mm, epicardium_mm, labelled_mm }
+        let is_grown = stack.grown_lv_mm.or(stack.grown_rv_mm).is_some();
+        let labelled_mm = is_grown.then(|| epicardium_mm.clone());
+        if let Some(thickness_mm) = stack.grown_lv_mm {
+            // What is labelled of this wall lies along the grown one: rounded where they meet, it would be thicker than either.
+            grow_wall(&mut epicardium_mm, &cavity_mm, thickness_mm, 0.0);
+        }
+        if let (Some(right_mm), Some(thickness_mm)) = (&cavity_rv_mm, stack.grown_rv_mm) {
+            grow_wall(&mut epicardium_mm, right_mm, thickness_mm, thickness_mm);
+        }
+        NodeDistances { cavity_mm, cavity_rv_mm, epicardium_mm, labelled_mm }
     }
 }
 
@@ -105,10 +107,10 @@ pub(super) fn keep_septum(right_mm: &mut [f64], left_mm: &[f64], thickness_mm: f
     keep_wall(right_mm, &outside_left_mm, thickness_mm, step_mm)
 }
 
-/// Grows a wall of `thickness_mm` around the right cavity: the union of what is labelled and of all that lies so near to the cavity, rounded
-/// where the two meet by a radius of that thickness, so that the wall is just as thick elsewhere.
-fn grow_rv_wall(outline_mm: &mut [f64], right_mm: &[f64], thickness_mm: f64) {
-    for (outline, right) in outline_mm.iter_mut().zip(right_mm) {
-        *outline = -rounded_max(-*outline, thickness_mm - right, thickness_mm);
+/// Grows a wall of `thickness_mm` around a cavity: the union of what is labelled and of all that lies so near to the cavity, rounded
+/// where the two meet by a radius of at most that thickness, so that the wall is just as thick elsewhere.
+fn grow_wall(outline_mm: &mut [f64], cavity_mm: &[f64], thickness_mm: f64, rounding_mm: f64) {
+    for (outline, cavity) in outline_mm.iter_mut().zip(cavity_mm) {
+        *outline = -rounded_max(-*outline, thickness_mm - cavity, rounding_mm);
     }
 }

@@ -3,7 +3,7 @@
 //! Every slice's labels become an outline without staircase and the exact distances to it (`outline`); the slices are cleaned and ordered
 //! from apex to base (`slices`), joined along their axis and closed by a rounded apex (`stack`, `shapes`), and the result is made a true
 //! distance (`redistance`) on an isotropic grid whose axes are those of the slices (`lattice`). A right cavity without a labelled wall gets
-//! one. The base is a plane, parallel to the slices unless another one is given.
+//! one, a left one if that is asked for. The base is a plane, parallel to the slices unless another one is given.
 
 mod frame;
 mod lattice;
@@ -73,7 +73,7 @@ pub struct FieldReport {
     pub cavity_rv_ml: Option<f64>,
     /// Wall within the fields, mL.
     pub wall_ml: f64,
-    /// The part of it that was grown around a right cavity without a wall, mL.
+    /// The part of it that was grown around cavities without a wall, mL.
     pub grown_wall_ml: f64,
     /// Distance between the tips of cavity and epicardium, mm.
     pub apical_wall_mm: f64,
@@ -97,7 +97,7 @@ pub fn heart_fields(labels: &LabelMap, codes: &HeartCodes, options: &FieldOption
         BaseCut::Plane(plane) => orientation::towards_base(plane, &frame.axis)?,
         BaseCut::OuterFace | BaseCut::MidSlice => frame.base_plane(),
     };
-    let layers = lattice.fill_all(&shapes, stack.rv_is_open.then_some(options.wall_thickness_rv_mm));
+    let layers = lattice.fill_all(&shapes, &stack);
     let NodeDistances { mut cavity_mm, cavity_rv_mm, epicardium_mm, labelled_mm } = layers;
     let least_mm = options.wall_thickness_min_mm;
     let mut report_thin = |count: usize, wall: &str, blood: &str| {
@@ -106,10 +106,12 @@ pub fn heart_fields(labels: &LabelMap, codes: &HeartCodes, options: &FieldOption
             warnings.push(format!("the {wall} was thinner than {least_mm} mm {nodes}; the {blood} was drawn back"));
         }
     };
-    report_thin(keep_wall(&mut cavity_mm, &epicardium_mm, least_mm, lattice.step_mm), "wall", "cavity");
+    let least_lv_mm = least_mm.min(stack.grown_lv_mm.unwrap_or(least_mm));
+    report_thin(keep_wall(&mut cavity_mm, &epicardium_mm, least_lv_mm, lattice.step_mm), "wall", "cavity");
     let cavity_rv_mm = cavity_rv_mm.map(|mut right_mm| {
-        let least_rv_mm = if stack.rv_is_open { least_mm.min(options.wall_thickness_rv_mm) } else { least_mm };
-        report_thin(keep_septum(&mut right_mm, &cavity_mm, least_mm, lattice.step_mm), "septum", "right cavity");
+        let least_rv_mm = least_mm.min(stack.grown_rv_mm.unwrap_or(least_mm));
+        let least_septum_mm = least_mm.max(stack.grown_lv_mm.unwrap_or(least_mm));
+        report_thin(keep_septum(&mut right_mm, &cavity_mm, least_septum_mm, lattice.step_mm), "septum", "right cavity");
         report_thin(keep_wall(&mut right_mm, &epicardium_mm, least_rv_mm, lattice.step_mm), "right wall", "right cavity");
         right_mm
     });
@@ -130,9 +132,9 @@ pub fn heart_fields(labels: &LabelMap, codes: &HeartCodes, options: &FieldOption
         cavity_rv_ml,
         wall_ml: hull_ml - cavity_lv_ml - cavity_rv_ml.unwrap_or(0.0),
         grown_wall_ml: labelled.as_ref().map_or(0.0, |labelled| hull_ml - enclosed(labelled)),
-        apical_wall_mm: shapes.cavity.tip_height_mm() - shapes.outline.tip_height_mm(),
+        apical_wall_mm: shapes.cavity.tip_height_mm() - shapes.apex_height_mm(),
     };
-    let apex_mm = frame.to_world_mm(frame.centre_of(&stack.slices[0].outline), shapes.outline.tip_height_mm());
+    let apex_mm = frame.to_world_mm(frame.centre_of(&stack.slices[0].outline), shapes.apex_height_mm());
     let long_axis = frame.axis;
     Ok(HeartFields { cavity_lv, cavity_rv, epicardium, base_plane, apex_mm, long_axis, report, warnings })
 }

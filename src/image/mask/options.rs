@@ -94,6 +94,8 @@ pub struct FieldOptions {
     pub base: BaseCut,
     /// The wall is nowhere thinner, mm: where it would be, the cavity gives way.
     pub wall_thickness_min_mm: f64,
+    /// Thickness of the wall that is grown around a left cavity without one, mm; with `None` its slices do not count.
+    pub wall_thickness_lv_mm: Option<f64>,
     /// Thickness of the wall that is grown around a right cavity without one, mm.
     pub wall_thickness_rv_mm: f64,
     /// By how much the grid surpasses the heart on every side, mm.
@@ -108,6 +110,7 @@ impl Default for FieldOptions {
             apex: ApexEnd::default(),
             base: BaseCut::default(),
             wall_thickness_min_mm: 2.0,
+            wall_thickness_lv_mm: None,
             wall_thickness_rv_mm: 3.0,
             margin_mm: 8.0,
         }
@@ -117,7 +120,8 @@ impl Default for FieldOptions {
 impl FieldOptions {
     /// By how much the grid surpasses the labels on every side, mm.
     pub(super) fn reach_mm(&self, codes: &HeartCodes) -> f64 {
-        self.margin_mm + codes.cavity_rv.map_or(0.0, |_| self.wall_thickness_rv_mm)
+        let right_mm = codes.cavity_rv.map_or(0.0, |_| self.wall_thickness_rv_mm);
+        self.margin_mm + right_mm.max(self.wall_thickness_lv_mm.unwrap_or(0.0))
     }
 
     /// Refuses codes and options that make no sense for these labels.
@@ -133,12 +137,13 @@ impl FieldOptions {
             return unusable(format!("a grid spacing of {step_mm} mm is not usable"));
         }
         let lengths = [self.margin_mm, self.wall_thickness_min_mm, self.wall_thickness_rv_mm];
-        if !lengths.iter().all(|mm| (0.0..=100.0).contains(mm)) || self.margin_mm < 2.0 * step_mm {
+        if !lengths.iter().chain(&self.wall_thickness_lv_mm).all(|mm| (0.0..=100.0).contains(mm)) || self.margin_mm < 2.0 * step_mm {
             return unusable(format!(
-                "margin {} mm, least wall {} mm and RV wall {} mm must be 0 to 100 mm, the margin at least two grid steps ({} mm)",
+                "margin {} mm, least wall {} mm, RV wall {} mm and LV wall {} mm must be 0 to 100 mm, the margin at least two grid steps ({} mm)",
                 self.margin_mm,
                 self.wall_thickness_min_mm,
                 self.wall_thickness_rv_mm,
+                self.wall_thickness_lv_mm.unwrap_or(0.0),
                 2.0 * step_mm
             ));
         }

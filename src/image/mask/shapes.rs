@@ -15,6 +15,8 @@ pub(super) struct HeartShapes {
     /// Everything labelled: both cavities and the walls.
     pub(super) outline: ShapeStack,
     pub(super) cavity_rv: Option<ShapeStack>,
+    /// Thickness of the wall to be grown around the left cavity, mm.
+    grown_lv_mm: Option<f64>,
 }
 
 /// The slices of one shape, from its own apex to the base.
@@ -76,7 +78,7 @@ impl HeartShapes {
         let beside_mm = radius_mm(whole.areas_mm2[cavity_begins] - right_mm2) - radius_mm(cavity.areas_mm2[0]);
         let tip_wall_mm = (0.5 * beside_mm).max(options.wall_thickness_min_mm);
         let tips_mm = [cavity.heights_mm[0] - cavity_cap_mm, whole.heights_mm[0] - whole_cap_mm];
-        if tips_mm[0] - tips_mm[1] < tip_wall_mm {
+        if stack.grown_lv_mm.is_none() && tips_mm[0] - tips_mm[1] < tip_wall_mm {
             whole_cap_mm += tip_wall_mm - (tips_mm[0] - tips_mm[1]);
             warnings.push(format!("the wall at the apex came out thinner than {tip_wall_mm:.1} mm; the epicardium was extended to that"));
         }
@@ -87,10 +89,17 @@ impl HeartShapes {
                 let cap_mm = right.cap_mm("right cavity", gap_mm, warnings);
                 right.stacked(cap_mm, stack, frame)
             }),
+            grown_lv_mm: stack.grown_lv_mm,
         }
     }
 
-    /// Height of the lowest tip, mm.
+    /// Height of the epicardium's tip below the left cavity, mm.
+    pub(super) fn apex_height_mm(&self) -> f64 {
+        let labelled_mm = self.outline.tip_height_mm();
+        self.grown_lv_mm.map_or(labelled_mm, |thickness_mm| labelled_mm.min(self.cavity.tip_height_mm() - thickness_mm))
+    }
+
+    /// Height of the lowest tip of what is labelled, mm.
     pub(super) fn tip_height_mm(&self) -> f64 {
         let tips = [Some(&self.cavity), Some(&self.outline), self.cavity_rv.as_ref()];
         tips.into_iter().flatten().map(ShapeStack::tip_height_mm).fold(f64::INFINITY, f64::min)

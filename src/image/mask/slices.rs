@@ -12,6 +12,9 @@ const OPEN_FRACTION_MAX: f64 = 0.1;
 /// Pixels by which the region surpasses the margin asked for, so that outlines can be smoothed in it.
 const REGION_RESERVE_PIXELS: isize = 4;
 
+/// What to do about a left ventricle without a wall.
+const REMEDY: &str = "; correct the labels or choose the slices, or set wall_thickness_lv_mm to have a wall grown where none is labelled";
+
 /// One slice; masks are i fastest on the region's pixels.
 #[derive(Debug)]
 pub(super) struct LabelledSlice {
@@ -42,8 +45,10 @@ pub(super) struct SliceStack {
     /// Index (i, j) in the label map of the region's first pixel; may lie outside of the map.
     pub(super) first_pixel: [isize; 2],
     pub(super) spacing_mm: Vector2<f64>,
-    /// Whether the right cavity has no labelled wall.
-    pub(super) rv_is_open: bool,
+    /// Thickness of the wall to be grown around the left cavity, mm, if it has no labelled one.
+    pub(super) grown_lv_mm: Option<f64>,
+    /// The same of the right cavity.
+    pub(super) grown_rv_mm: Option<f64>,
     pub(super) warnings: Vec<String>,
 }
 
@@ -62,20 +67,26 @@ impl SliceStack {
             return unusable(format!("no slice with a left ventricle holds a right cavity (label {code})"));
         }
         order_from_apex(&mut slices, options.apex, &mut warnings);
-        drop_open_ends(&mut slices, has_rv, region.shape, &mut warnings)?;
+        drop_open_ends(&mut slices, has_rv, options.wall_thickness_lv_mm.is_some(), region.shape, &mut warnings)?;
         if slices.iter().filter(|slice| slice.cavity.is_some()).count() < 2 {
             let (cavity, wall) = (codes.cavity_lv, codes.wall_lv);
-            return unusable(format!("fewer than two slices hold a cavity (label {cavity}) within a closed wall (label {wall})"));
+            return unusable(format!("fewer than two slices hold a cavity (label {cavity}) within a closed wall (label {wall}){REMEDY}"));
         }
         if let Some(code) = codes.cavity_rv
             && slices.iter().filter(|slice| slice.cavity_rv.is_some()).count() < 2
         {
             return unusable(format!("fewer than two slices with a closed left ventricle hold a right cavity (label {code})"));
         }
-        let rv_is_open = has_rv && opening_of_rv(&slices, region.shape, &mut warnings);
+        let left = Opening::of(&slices, region.shape, |slice| slice.cavity.as_deref());
+        let grown_lv_mm = options.wall_thickness_lv_mm.filter(|_| left.walled < left.slices);
+        let right = Opening::of(&slices, region.shape, |slice| slice.cavity_rv.as_deref());
+        let grown_rv_mm = (right.fraction > OPEN_FRACTION_MAX).then_some(options.wall_thickness_rv_mm);
+        for (name, opening, grown_mm) in [("left", left, grown_lv_mm), ("right", right, grown_rv_mm)] {
+            warnings.extend(grown_mm.and_then(|_| opening.warning(name)));
+        }
         report_gaps(&slices, &mut warnings);
         let spacing_mm = labels.grid().spacing_mm().xy();
-        Ok(Self { slices, shape: region.shape, first_pixel: region.first_pixel, spacing_mm, rv_is_open, warnings })
+        Ok(Self { slices, shape: region.shape, first_pixel: region.first_pixel, spacing_mm, grown_lv_mm, grown_rv_mm, warnings })
     }
 }
 
@@ -205,11 +216,19 @@ fn order_from_apex(slices: &mut [LabelledSlice], apex: ApexEnd, warnings: &mut V
     }
 }
 
-/// Drops slices with an open or missing wall from both ends, and from the basal end also those that do not show every cavity.
-fn drop_open_ends(slices: &mut Vec<LabelledSlice>, has_rv: bool, shape: [usize; 2], warnings: &mut Vec<String>) -> Result<(), ImageError> {
+/// Drops slices with an open or missing wall from both ends, unless a wall is grown, and from the basal end also those that do not show every
+/// cavity.
+fn drop_open_ends(
+    slices: &mut Vec<LabelledSlice>,
+    has_rv: bool,
+    lv_may_be_open: bool,
+    shape: [usize; 2],
+    warnings: &mut Vec<String>,
+) -> Result<(), ImageError> {
     let defect = |slice: &LabelledSlice| {
         let open = slice.cavity.as_ref().map_or(0.0, |cavity| open_fraction(&open_edges(cavity, &slice.outline, shape)));
-        (open > OPEN_FRACTION_MAX).then(|| format!("slice {}: the wall is open along {:.0} % of the cavity", slice.index, 100.0 * open))
+        (!lv_may_be_open && open > OPEN_FRACTION_MAX)
+            .then(|| format!("slice {}: the wall is open along {:.0} % of the cavity", slice.index, 100.0 * open))
     };
     while let Some(last) = slices.last() {
         let reason = match (&last.cavity, &last.cavity_rv) {
@@ -235,23 +254,36 @@ fn drop_open_ends(slices: &mut Vec<LabelledSlice>, has_rv: bool, shape: [usize; 
             _ => None,
         };
         if let Some(reason) = missing.or_else(|| defect(slice)) {
-            return Err(ImageError::UnusableMask { reason: format!("{reason}; correct the labels or choose the slices") });
+            return Err(ImageError::UnusableMask { reason: format!("{reason}{REMEDY}") });
         }
     }
     Ok(())
 }
 
-/// Whether the right cavity has no labelled wall: over all slices, it touches the background along more than a tenth of its outline.
-fn opening_of_rv(slices: &[LabelledSlice], shape: [usize; 2], warnings: &mut Vec<String>) -> bool {
-    let edges: Vec<[usize; 2]> =
-        slices.iter().filter_map(|slice| slice.cavity_rv.as_ref().map(|cavity| open_edges(cavity, &slice.outline, shape))).collect();
-    let total = edges.iter().fold([0, 0], |[all, open], edges| [all + edges[0], open + edges[1]]);
-    let is_open = open_fraction(&total) > OPEN_FRACTION_MAX;
-    let walled = edges.iter().filter(|edges| open_fraction(edges) <= OPEN_FRACTION_MAX).count();
-    if is_open && walled > 0 {
-        warnings.push(format!("the right ventricle has a labelled wall in {walled} of {} slices only: it is grown in all", edges.len()));
+/// How far the wall around a cavity is open.
+struct Opening {
+    /// Share of the cavity's outline, over all slices, that touches the background.
+    fraction: f64,
+    /// The slices that show the cavity.
+    slices: usize,
+    /// Those of them in which it has a wall.
+    walled: usize,
+}
+
+impl Opening {
+    fn of(slices: &[LabelledSlice], shape: [usize; 2], cavity: fn(&LabelledSlice) -> Option<&[bool]>) -> Self {
+        let edges_of = |slice: &LabelledSlice| cavity(slice).map(|cavity| open_edges(cavity, &slice.outline, shape));
+        let edges: Vec<[usize; 2]> = slices.iter().filter_map(edges_of).collect();
+        let total = edges.iter().fold([0, 0], |[all, open], edges| [all + edges[0], open + edges[1]]);
+        let walled = edges.iter().filter(|edges| open_fraction(edges) <= OPEN_FRACTION_MAX).count();
+        Self { fraction: open_fraction(&total), slices: edges.len(), walled }
     }
-    is_open
+
+    /// What to say where a wall is grown although there is one in places.
+    fn warning(&self, name: &str) -> Option<String> {
+        let Self { slices, walled, .. } = self;
+        (*walled > 0).then(|| format!("the {name} ventricle has a labelled wall in {walled} of {slices} slices only: it is grown in all"))
+    }
 }
 
 fn report_gaps(slices: &[LabelledSlice], warnings: &mut Vec<String>) {

@@ -19,6 +19,8 @@ pub struct LabelsPlan {
     pub slices: Option<Range<usize>>,
     /// `base`, or `base_point_mm` and `base_normal`: where the heart is cut at the base.
     pub base: BaseCut,
+    /// `wall_thickness_lv_mm`: thickness of the wall that is grown around a left cavity without one; without it such slices do not count.
+    pub wall_thickness_lv_mm: Option<f64>,
     /// `wall_thickness_rv_mm`: thickness of the wall that is grown around a right cavity without one.
     pub wall_thickness_rv_mm: f64,
 }
@@ -68,7 +70,8 @@ impl LabelSource {
 impl LabelsPlan {
     /// How fields are made from these labels.
     pub fn field_options(&self) -> FieldOptions {
-        FieldOptions { base: self.base, wall_thickness_rv_mm: self.wall_thickness_rv_mm, ..FieldOptions::default() }
+        let Self { base, wall_thickness_lv_mm, wall_thickness_rv_mm, .. } = *self;
+        FieldOptions { base, wall_thickness_lv_mm, wall_thickness_rv_mm, ..FieldOptions::default() }
     }
 }
 
@@ -77,7 +80,7 @@ impl Choice for BaseCut {
 }
 
 /// The keys that are of no use without labels or masks.
-pub(super) const LABEL_KEYS: [&str; 9] = [
+pub(super) const LABEL_KEYS: [&str; 10] = [
     "code_cavity_lv",
     "code_wall_lv",
     "code_cavity_rv",
@@ -86,6 +89,7 @@ pub(super) const LABEL_KEYS: [&str; 9] = [
     "base",
     "base_point_mm",
     "base_normal",
+    "wall_thickness_lv_mm",
     "wall_thickness_rv_mm",
 ];
 
@@ -116,6 +120,7 @@ pub(super) fn read(table: &TableReader) -> LabelsPlan {
         frame: table.count("frame", 0..=100_000, 0),
         slices: slice_range(table, "label_slices"),
         base: read_base(table),
+        wall_thickness_lv_mm: table.optional_number("wall_thickness_lv_mm", 1.0..=30.0),
         wall_thickness_rv_mm: table.number("wall_thickness_rv_mm", 1.0..=20.0, FieldOptions::default().wall_thickness_rv_mm),
     }
 }

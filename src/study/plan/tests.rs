@@ -267,13 +267,14 @@ fn drawn(kind: &str, anatomy: &str) -> String {
 
 #[test]
 fn every_kind_with_images_takes_one_ventricle_or_two_from_labels_or_masks() {
-    let labels = "labels = \"Cargo.toml\"\ncode_cavity_rv = 3\nwall_thickness_rv_mm = 4\nlabel_slices = [2, 5]\n";
+    let labels = "labels = \"Cargo.toml\"\ncode_cavity_rv = 3\nwall_thickness_lv_mm = 9\nwall_thickness_rv_mm = 4\nlabel_slices = [2, 5]\n";
     let masks = "mask_epicardium = \"Cargo.toml\"\nmask_endocardium_lv = \"Cargo.toml\"\nmask_endocardium_rv = \"Cargo.toml\"\nframe = 2\n";
     for kind in ["mesh", "track", "personalise"] {
         let [one, other] = [labels, masks].map(|anatomy| plan(&drawn(kind, anatomy), &[]).unwrap());
         let AnatomySource::Labels(from_labels) = one.anatomy.source else { panic!("{:?}", one.anatomy) };
+        let options = from_labels.field_options();
         assert_eq!((from_labels.source.codes().cavity_rv, from_labels.slices), (Some(3), Some(2..6)));
-        assert_eq!(from_labels.wall_thickness_rv_mm, 4.0);
+        assert_eq!((options.wall_thickness_lv_mm, options.wall_thickness_rv_mm), (Some(9.0), 4.0));
         assert_eq!(other.input_files().len(), 4);
         let AnatomySource::Labels(from_masks) = other.anatomy.source else { panic!("{:?}", other.anatomy) };
         assert_eq!((from_masks.source.codes(), from_masks.frame), (crate::image::MASK_CODES, 2));

@@ -32,7 +32,7 @@ pub struct MeshReport {
     pub quality: MeshQuality,
     /// Cavities and wall.
     pub volumes: Vec<PartVolume>,
-    /// The part of the wall that was grown around a right cavity without one, mL.
+    /// The part of the wall that was grown around cavities without one, mL.
     pub grown_wall_ml: f64,
     /// How well the surfaces follow what was drawn; nothing for a heart that was not.
     pub surfaces: Vec<SurfaceAgreement>,
