@@ -8,7 +8,7 @@ use dicom_object::{DefaultDicomObject, OpenFileOptions, Tag};
 use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 use nalgebra::Vector3;
 
-use super::run_length;
+use super::{jpeg_2000, run_length};
 
 const SERIES_UID: Tag = Tag(0x0020, 0x000E);
 const SERIES_DESCRIPTION: Tag = Tag(0x0008, 0x103E);
@@ -139,7 +139,7 @@ fn pixels(object: &DefaultDicomObject, shape: [usize; 2]) -> Result<Vec<f32>, St
         return Err(format!("its pixels have {stored} of {allocated} bits"));
     }
     let width = allocated / 8;
-    let bytes = pixel_bytes(object, shape[0] * shape[1], width)?;
+    let bytes = pixel_bytes(object, shape, width)?;
     let expected = shape[0] * shape[1] * width;
     if bytes.len() < expected {
         return Err(format!("it has {} bytes of pixels where {expected} are needed", bytes.len()));
@@ -158,12 +158,18 @@ fn pixels(object: &DefaultDicomObject, shape: [usize; 2]) -> Result<Vec<f32>, St
 
 const RUN_LENGTH: &str = "1.2.840.10008.1.2.5";
 
+/// Lossless, and either.
+const JPEG_2000: [&str; 2] = ["1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91"];
+
 /// The pixel data, decompressed, little endian.
-fn pixel_bytes(object: &DefaultDicomObject, pixel_count: usize, width: usize) -> Result<Vec<u8>, String> {
+fn pixel_bytes(object: &DefaultDicomObject, shape: [usize; 2], width: usize) -> Result<Vec<u8>, String> {
     let uid = object.meta().transfer_syntax();
+    let frame = || object.get(PIXEL_DATA).and_then(|element| element.fragments()).map(<[_]>::concat).ok_or("it has no compressed pixels");
     if uid == RUN_LENGTH {
-        let fragments = object.get(PIXEL_DATA).and_then(|element| element.fragments()).ok_or("it has no compressed pixels")?;
-        return run_length::decode(&fragments.concat(), pixel_count, width);
+        return run_length::decode(&frame()?, shape[0] * shape[1], width);
+    }
+    if JPEG_2000.contains(&uid) {
+        jpeg_2000::check_size(&frame()?, shape)?;
     }
     let syntax = TransferSyntaxRegistry.get(uid).ok_or_else(|| format!("its transfer syntax {uid} is unknown"))?;
     if let Codec::EncapsulatedPixelData(reader, _) = syntax.codec() {

@@ -1,9 +1,10 @@
 //! A folder of DICOM cine slices as scanners write it: short-axis stacks and long-axis views in RAS millimetres.
 //!
 //! Files are sorted by orientation into stacks, within a stack by position into slices, and within a slice by trigger time into frames;
-//! names and order of the files do not matter, nor whether every slice is a series of its own. Uncompressed, RLE and JPEG files are read.
+//! names and order of the files do not matter, nor whether every slice is a series of its own. Uncompressed, RLE, JPEG and JPEG 2000 files are read.
 
 mod instance;
+mod jpeg_2000;
 mod run_length;
 mod stack;
 
