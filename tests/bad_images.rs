@@ -1,4 +1,5 @@
 //! Images and masks that are wrong, through the binary: each is refused with exit code 2, its file and what is wrong with it, or said in a warning.
+//! That a heart lies outside the images is found when the run has begun: exit code 1.
 //!
 //! The same through the library, with every type of voxel and header: `src/image/nifti/tests.rs`, `src/image/dicom/tests.rs`, `src/image/mask/tests.rs`.
 
@@ -134,7 +135,7 @@ fn cines_and_masks_that_do_not_go_together_are_refused() {
     change(folder, "labels.nii.gz", "elsewhere.nii", |bytes| put(bytes, 280, &[2.0, 0.0, 0.0, 400.0]));
     tracked(folder, "elsewhere.nii", "cine.nii.gz");
     let (code, _, err) = cardiotwin(folder, &run);
-    assert!(code != 0 && err.contains("100 % of the heart's mesh lie outside of the images"), "{code}: {err}");
+    assert!(code == 1 && err.contains("100 % of the heart's mesh lie outside of the images"), "{code}: {err}");
 }
 
 #[test]
@@ -148,7 +149,16 @@ fn a_damaged_frame_is_said() {
     assert!(code == 0 && out.contains("frames [2] are blank"), "{out}{err}");
 }
 
-/// A patient's folder with a slice taken out, a file cut off, a file twice, and files that are no images.
+/// Another last digit in the series' number, (0020,000E).
+fn rename_series(bytes: &mut [u8]) {
+    let tag = bytes.windows(6).position(|window| window == [0x20, 0, 0x0E, 0, b'U', b'I']).unwrap();
+    let length = usize::from(bytes[tag + 6]) + (usize::from(bytes[tag + 7]) << 8);
+    let value = &mut bytes[tag + 8..tag + 8 + length];
+    let last = value.iter().rposition(u8::is_ascii_digit).unwrap();
+    value[last] = if value[last] == b'1' { b'2' } else { b'1' };
+}
+
+/// A patient's folder with a slice taken out, another in two series, a file cut off, and files that are no images.
 #[test]
 fn a_scanners_folder_with_gaps_strangers_and_damage_is_read_and_all_of_it_said() {
     let scan = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/sunnybrook_SCD0000201/dicom");
@@ -166,9 +176,21 @@ fn a_scanners_folder_with_gaps_strangers_and_damage_is_read_and_all_of_it_said()
     std::fs::write(folder.path().join("7.dcm"), &whole[..whole.len() / 2]).unwrap();
     std::fs::write(folder.path().join("notes.txt"), "no image").unwrap();
     std::fs::write(folder.path().join("broken.dcm"), "no image").unwrap();
+    // The third slice once more, as a series that the scanner repeated: the last number of the series' name is another one.
+    for number in 41..=60 {
+        let mut bytes = std::fs::read(scan.join(format!("{number}.dcm"))).unwrap();
+        rename_series(&mut bytes);
+        std::fs::write(folder.path().join(format!("again_{number}.dcm")), bytes).unwrap();
+    }
     let (code, out, err) = cardiotwin(folder.path(), &["info", "."]);
     assert_eq!(code, 0, "{err}");
-    for words in ["256 × 256 × 13 voxels", "1 slices are missing", "broken.dcm: it is no DICOM file or is damaged", "7.dcm"] {
+    for words in [
+        "256 × 256 × 13 voxels",
+        "1 slices are missing",
+        "broken.dcm: it is no DICOM file or is damaged",
+        "7.dcm",
+        "20 images of other series",
+    ] {
         assert!(out.contains(words), "`{words}` is missing in:\n{out}");
     }
 }
