@@ -71,9 +71,9 @@ pub fn soft_heart(edge_length_mm: f64) -> HeartModel {
     HeartModel::new(left_ventricle(edge_length_mm), parameters, settings).unwrap()
 }
 
-/// Seconds that this thread has computed: others' use of the machine does not count.
+/// Seconds that this process has computed, on all its threads: others' use of the machine does not count.
 pub fn processor_s() -> f64 {
-    let used = clock_gettime(ClockId::ThreadCPUTime);
+    let used = clock_gettime(ClockId::ProcessCPUTime);
     used.tv_sec as f64 + used.tv_nsec as f64 * 1e-9
 }
 
