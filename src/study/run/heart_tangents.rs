@@ -40,7 +40,7 @@ pub(super) struct HeartTangents<'a> {
 }
 
 impl<'a> HeartTangents<'a> {
-    /// A model; where the heart has no tangents, as in corotational kinematics, there are differences whatever the study says.
+    /// A model; where the heart has no tangents, as where a step was taken in halves, there are differences whatever the study says.
     pub(super) fn new(base: &'a HeartModel, space: &'a ParameterSpace, clock: &'a Clock, tangents: Tangents, is_stopped: Stop<'a>) -> Self {
         let simulate = move |coordinates: &DVector<f64>| simulate_at(base, space, clock, coordinates, is_stopped);
         let steps = DVector::from_iterator(space.dimension(), space.free().map(difference_step));

@@ -362,11 +362,12 @@ fn headlines(details: &Details, parameters: &[ParameterRow]) -> Vec<String> {
     lines.extend(details.verdict.iter().cloned());
     lines.extend(details.validation.iter().map(ValidationSummary::headline));
     lines.extend(details.recovery.iter().map(|recovery| {
-        let verdict = if recovery.within_tolerance { "within" } else { "NOT within" };
-        format!(
-            "truth recovered {verdict} the stated tolerances; volume of the model {:.2} mL RMS from the truth",
-            recovery.volume_model_rms_ml
-        )
+        let verdict = match recovery.within_tolerance {
+            _ if !recovery.has_tolerances() => "",
+            true => "truth recovered within the stated tolerances; ",
+            false => "truth recovered NOT within the stated tolerances; ",
+        };
+        format!("{verdict}volume of the model {:.2} mL RMS from the truth", recovery.volume_model_rms_ml)
     }));
     lines
 }

@@ -35,6 +35,13 @@ pub(super) struct RecoveredParameter {
     tolerance: Option<f64>,
 }
 
+impl Recovery {
+    /// Whether the study says how near the truth a value must come.
+    pub(super) fn has_tolerances(&self) -> bool {
+        self.parameters.iter().any(|one| one.tolerance.is_some())
+    }
+}
+
 pub(super) fn recovery<'a>(plan: &Plan, patient: &'a Patient, tracked: &'a Tracked, found: &'a Personalised) -> Option<Recovery> {
     let (truth, Some(ImageSource::Phantom(phantom))) = (patient.truth.as_ref()?, &plan.images) else { return None };
     let parameters: Vec<_> = found.space.free().map(|free| recovered(free.parameter, &truth.parameters, found, phantom)).collect();
