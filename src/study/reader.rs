@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
 use toml::Value;
@@ -228,13 +228,20 @@ impl<'a> TableReader<'a> {
 
     /// An existing file of the data folder, if it is written.
     pub(super) fn data_file(&self, key: &'static str) -> Option<PathBuf> {
-        let path = self.reader.config.data_folder().join(self.text(key)?);
+        let remedy = "mend the path, which starts from `data`, or give the folder of the data with --data DIR";
+        self.file_in(&self.reader.config.data_folder(), key, remedy)
+    }
+
+    /// An existing file that an earlier run left, if it is written: from the folder of the study file, as `output.directory`.
+    pub(super) fn result_file(&self, key: &'static str) -> Option<PathBuf> {
+        let remedy = "mend the path, which starts from the folder of the study file, or run first the study that leaves it";
+        self.file_in(self.reader.config.folder(), key, remedy)
+    }
+
+    fn file_in(&self, folder: &Path, key: &'static str, remedy: &str) -> Option<PathBuf> {
+        let path = folder.join(self.text(key)?);
         if !path.is_file() {
-            self.problem(
-                key,
-                format!("names no file: {} does not exist", path.display()),
-                "mend the path, which starts from `data`, or give the folder of the data with --data DIR",
-            );
+            self.problem(key, format!("names no file: {} does not exist", path.display()), remedy);
         }
         Some(path)
     }

@@ -141,6 +141,14 @@ fn a_missing_file_is_named_with_the_way_to_find_it() {
 }
 
 #[test]
+fn a_recorded_base_is_looked_for_from_the_folder_of_the_study() {
+    let text = format!("{SIMULATE}[tracking]\nbase = \"recorded\"\nbase_motion = \"../run/base_motion.csv\"\n");
+    let problem = problem(&text, &[]);
+    assert!(problem.contains("some/../run/base_motion.csv does not exist"), "{problem}");
+    assert!(problem.contains("the folder of the study file"), "{problem}");
+}
+
+#[test]
 fn a_missing_data_folder_is_named() {
     let words = problem(&format!("data = \"nowhere\"\n{SIMULATE}"), &[]);
     assert!(words.starts_with("line 1: data = \"nowhere\" names no folder: some/nowhere does not exist"), "{words}");

@@ -96,7 +96,7 @@ pub(super) fn read(table: TableReader, parameters: &mut Parameters, written: &mu
         held_out_fraction: table.number("held_out_fraction", 0.0..=0.5, 0.1),
         seed: table.count("seed", 0..=i64::MAX, 1) as u64,
         base: table.choice("base", BaseMode::BlockMatching),
-        base_motion: table.data_file("base_motion"),
+        base_motion: table.result_file("base_motion"),
         base_projection: table.choice("base_projection", BaseProjection::default()),
         similarity: table.choice("similarity", Similarity::default()),
         block_size_mm: table.number("block_size_mm", 2.0..=60.0, block_size_mm),
