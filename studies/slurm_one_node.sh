@@ -4,7 +4,7 @@
 #   studies/slurm_one_node.sh snakemake -s studies/Snakefile --executor slurm --jobs 4 --config …
 set -euo pipefail
 
-state="$(mktemp -d /tmp/slurm.XXXXXX)"
+state="$(mktemp -d)"
 host="$(hostname -s)"
 # All processes started here, by their own numbers.
 started=()
