@@ -116,6 +116,41 @@ fn every_path_agrees_with_dense_lu() {
     }
 }
 
+/// A position moved along a coarse response is off; settled, it is that of dense algebra again. A fine response needs no settling, and
+/// neither does a small change.
+#[test]
+fn what_a_coarse_response_lacks_is_settled() {
+    let operator = StepOperator::new(tissue(4, &PROPERTIES), 0.005).unwrap();
+    let count = operator.myocardium().vertex_count();
+    let gradient: Vec<Vector3<f64>> = (0..count).map(|v| wobble(v + 5) * 100.0).collect();
+    for (path, block) in [(SolvePath::ConjugateGradients, &normal_spring as Block), (SolvePath::Gmres, &exact_image_block)] {
+        let mut solver = StepSolver::new(SolveSettings { relative_tolerance: 1e-10, response_tolerance: 0.3, ..SolveSettings::default() });
+        // A preconditioner that is not the matrix itself.
+        let (state, mut system) = loaded_system(&operator, |vertex| block(vertex) * 5.0);
+        solver.solve(&operator, &system, &mut state.position_mm.clone(), &mut []).unwrap();
+        system.stiffness_mn_per_mm.iter_mut().for_each(|block| *block *= 0.05);
+        let (mut position, mut responses) = (state.position_mm.clone(), vec![gradient.clone()]);
+        let report = solver.solve(&operator, &system, &mut position, &mut responses).unwrap();
+        assert!(report.path == path && !report.was_refactorised, "{report:?}");
+        assert!(solver.responses_suffice([1e-12].into_iter()) && !solver.responses_suffice([3.0].into_iter()));
+        for ((position, response), (force, gradient)) in
+            position.iter_mut().zip(&responses[0]).zip(system.force_mn.iter_mut().zip(&gradient))
+        {
+            *position += response * 3.0;
+            *force += gradient * 3.0;
+        }
+        let expected = dense_of(&operator, &system).lu().solve(&flat(&system.force_mn)).unwrap();
+        let error = |position: &[Vector3<f64>]| (flat(position) - &expected).norm() / expected.norm();
+        assert!(error(&position) > 1e-6, "{path:?}: {:e} is too good to show anything", error(&position));
+        solver.settle(&operator, &system, &mut position).unwrap();
+        assert!(error(&position) < 1e-8, "{path:?}: {:e}", error(&position));
+    }
+    let (state, system) = loaded_system(&operator, normal_spring);
+    let mut solver = StepSolver::new(SolveSettings::default());
+    solver.solve(&operator, &system, &mut state.position_mm.clone(), &mut [gradient]).unwrap();
+    assert!(solver.responses_suffice([1e-3].into_iter()));
+}
+
 /// Symmetric blocks with negative eigenvalues make the sum indefinite: the answer must still be that of dense algebra.
 #[test]
 fn an_indefinite_system_falls_back_to_gmres() {

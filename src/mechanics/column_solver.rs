@@ -69,7 +69,7 @@ impl ColumnSolver {
             matrix.multiply(guess, product);
             column.iter_mut().zip(&*product).for_each(|(column, product)| *column -= product);
         }
-        let apply = |x: &[Vector3<f64>], y: &mut [Vector3<f64>]| matrix.multiply(x, y);
+        let apply = |listed: &[usize], x: &[Vec<Vector3<f64>>], y: &mut [Vec<Vector3<f64>>]| matrix.multiply_columns(listed, x, y);
         let mut precondition = |columns: &mut [Vec<Vector3<f64>>]| match solver.preconditioner() {
             Some(factor) => factor.solve_in_place(columns, single),
             None => matrix.operator.factor().solve_in_place(columns, direct),

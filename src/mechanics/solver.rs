@@ -1,19 +1,19 @@
 //! Solves the step system: by the frozen factor where the data add no stiffness, else iteratively with a kept preconditioner.
 
-use std::sync::Arc;
-
 use nalgebra::{Matrix3, Vector3};
 
+use super::guesses::Guesses;
 use super::kinematics::MeanStiffness;
 use super::myocardium::check_size;
+use super::preconditioner::Preconditioner;
 use super::{MechanicsError, StepOperator, StepSystem};
 use crate::numerics::{
     BlockMatrix, CholeskyFactor, CholeskyWorkspace, ConjugateGradientOutcome, KrylovLimits, KrylovReport, KrylovWorkspace,
     LinearSolveError, conjugate_gradients, gmres,
 };
 
-/// Writes the product of the system's matrix with the first argument to the second.
-type Product<'a> = dyn Fn(&[Vector3<f64>], &mut [Vector3<f64>]) + 'a;
+/// Writes the products of the system's matrix with the listed columns of the first fields to those of the second.
+pub(super) type Product<'a> = dyn Fn(&[usize], &[Vec<Vector3<f64>>], &mut [Vec<Vector3<f64>>]) + 'a;
 
 /// Which way a system was solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,31 +71,21 @@ pub struct StepSolver {
     columns: Vec<Vec<Vector3<f64>>>,
     reference_norms: Vec<f64>,
     guesses: Guesses,
-}
-
-/// The factor of K̃ + sym⁺(K_img) at an earlier step, in single precision.
-#[derive(Debug)]
-struct Preconditioner {
-    matrix: BlockMatrix,
-    /// None where single precision found the matrix not positive definite: then the operator's own factor serves.
-    factor: Option<CholeskyFactor<f32>>,
-    /// Fewest iterations of a solve that did not follow its factorisation.
-    kept_floor: Option<usize>,
-    excess: usize,
-    /// h of the operator it was made for.
-    step_s: f64,
-    is_fresh: bool,
+    /// Norm that the last position's tolerance refers to, mN: that of the force on the tissue at rest.
+    position_reference_mn: f64,
+    /// Norms that the last responses left of their forces, in the unit of these.
+    response_residuals: Vec<f64>,
 }
 
 /// K̃ + K_img: the operator's own matrix or a tangent, and the blocks that data add to its diagonal.
 #[derive(Clone, Copy)]
 pub(super) struct StepMatrix<'a> {
     pub(super) operator: &'a StepOperator,
-    matrix: &'a BlockMatrix,
+    pub(super) matrix: &'a BlockMatrix,
     mean_stiffnesses: &'a [MeanStiffness],
     /// Whether its tetrahedra's part is known to be convex.
-    is_convex: bool,
-    stiffness_mn_per_mm: &'a [Matrix3<f64>],
+    pub(super) is_convex: bool,
+    pub(super) stiffness_mn_per_mm: &'a [Matrix3<f64>],
 }
 
 impl<'a> StepMatrix<'a> {
@@ -126,7 +116,7 @@ impl<'a> StepMatrix<'a> {
     }
 
     /// Whether it is the tangent of a round of Newton's method, which has better ways to go on than to iterate on.
-    fn is_tangent(&self) -> bool {
+    pub(super) fn is_tangent(&self) -> bool {
         !std::ptr::eq(self.matrix, self.operator.matrix())
     }
 
@@ -138,20 +128,23 @@ impl<'a> StepMatrix<'a> {
         }
     }
 
+    pub(super) fn multiply_columns(&self, listed: &[usize], x: &[Vec<Vector3<f64>>], products: &mut [Vec<Vector3<f64>>]) {
+        self.matrix.multiply_columns(listed, x, products);
+        for &listed in listed {
+            let (x, product) = (&x[listed], &mut products[listed]);
+            self.mean_stiffnesses.iter().for_each(|stiffness| stiffness.multiply_add(x, product));
+            for ((y, block), x) in product.iter_mut().zip(self.stiffness_mn_per_mm).zip(x) {
+                *y += block * x;
+            }
+        }
+    }
+
     /// Writes F − A x and gives its norm.
     fn subtract(&self, force_mn: &[Vector3<f64>], x: &[Vector3<f64>], residual_mn: &mut [Vector3<f64>]) -> f64 {
         self.multiply(x, residual_mn);
         residual_mn.iter_mut().zip(force_mn).for_each(|(residual, force)| *residual = force - *residual);
         norm(residual_mn)
     }
-}
-
-/// The last responses: where the next ones start from.
-#[derive(Debug, Default)]
-struct Guesses {
-    responses: Vec<Vec<Vector3<f64>>>,
-    weights: Vec<f64>,
-    product: Vec<Vector3<f64>>,
 }
 
 impl StepSolver {
@@ -183,22 +176,62 @@ impl StepSolver {
         columns[0].resize(count, Vector3::zeros());
         let matrix = StepMatrix::of_system(operator, system)?;
         // A direct solve has no tolerance that refers to a norm.
-        let reference_norm =
+        self.position_reference_mn =
             if matrix.is_constant() { 0.0 } else { matrix.subtract(&system.force_mn, operator.myocardium().rest_mm(), &mut columns[0]) };
-        // The correction of the guess is solved for, so that coordinates far from the origin cost no digits.
-        matrix.subtract(&system.force_mn, position_mm, &mut columns[0]);
-        let tolerance = self.settings.relative_tolerance;
-        let report = self.solve_columns(matrix, &mut columns[..=responses.len()], Some(reference_norm), tolerance);
-        for (position, correction) in position_mm.iter_mut().zip(&columns[0]) {
-            *position += correction;
-        }
+        let report = self.move_position(matrix, &system.force_mn, position_mm, &mut columns[..=responses.len()]);
         for (response, column) in responses.iter_mut().zip(&columns[1..]) {
             response.copy_from_slice(column);
         }
         self.columns = columns;
         let report = report?;
-        if let Some(preconditioner) = self.preconditioner.as_mut().filter(|_| report.path != SolvePath::Direct) {
+        let is_direct = report.path == SolvePath::Direct;
+        self.response_residuals.clear();
+        self.response_residuals.extend((1..=responses.len()).map(|column| if is_direct { 0.0 } else { self.krylov.residual_norm(column) }));
+        if let Some(preconditioner) = self.preconditioner.as_mut().filter(|_| !is_direct) {
             preconditioner.served(report.iteration_count);
+        }
+        Ok(report)
+    }
+
+    /// Moves the position of the last [`StepSolver::solve`] on, after its force has changed, to the same tolerance.
+    ///
+    /// # Errors
+    /// As [`StepSolver::solve`].
+    pub fn settle(
+        &mut self,
+        operator: &StepOperator,
+        system: &StepSystem,
+        position_mm: &mut [Vector3<f64>],
+    ) -> Result<SolveReport, MechanicsError> {
+        let count = operator.myocardium().vertex_count();
+        check_size("positions, one a vertex", count, position_mm.len())?;
+        check_size("forces, one a vertex", count, system.force_mn.len())?;
+        let mut columns = self.take_columns(&[]);
+        columns[0].resize(count, Vector3::zeros());
+        let report = self.move_position(StepMatrix::of_system(operator, system)?, &system.force_mn, position_mm, &mut columns[..1]);
+        self.columns = columns;
+        report
+    }
+
+    /// Whether the last responses, times these weights, are as good as the position has to be.
+    pub fn responses_suffice(&self, weights: impl Iterator<Item = f64>) -> bool {
+        let missed_mn: f64 = weights.zip(&self.response_residuals).map(|(weight, residual)| weight.abs() * residual).sum();
+        missed_mn <= self.settings.relative_tolerance * self.position_reference_mn
+    }
+
+    /// Corrects a position, and solves for the responses behind the first column with it. The correction of the guess is solved for, so
+    /// that coordinates far from the origin cost no digits.
+    fn move_position(
+        &mut self,
+        matrix: StepMatrix<'_>,
+        force_mn: &[Vector3<f64>],
+        position_mm: &mut [Vector3<f64>],
+        columns: &mut [Vec<Vector3<f64>>],
+    ) -> Result<SolveReport, MechanicsError> {
+        matrix.subtract(force_mn, position_mm, &mut columns[0]);
+        let report = self.solve_columns(matrix, columns, Some(self.position_reference_mn), self.settings.relative_tolerance)?;
+        for (position, correction) in position_mm.iter_mut().zip(&columns[0]) {
+            *position += correction;
         }
         Ok(report)
     }
@@ -251,7 +284,7 @@ impl StepSolver {
 
     /// The factor that iterative solves are preconditioned with, where it is not the operator's own.
     pub(super) fn preconditioner(&self) -> Option<&CholeskyFactor<f32>> {
-        self.preconditioner.as_ref().and_then(|kept| kept.factor.as_ref())
+        self.preconditioner.as_ref().and_then(Preconditioner::factor)
     }
 
     pub(super) fn iteration_limit(&self) -> usize {
@@ -261,7 +294,7 @@ impl StepSolver {
     /// Has the next iterative solve factorise its preconditioner anew.
     pub fn forget_preconditioner(&mut self) {
         if let Some(preconditioner) = &mut self.preconditioner {
-            preconditioner.excess = self.settings.excess_iterations;
+            preconditioner.use_up(self.settings.excess_iterations);
         }
     }
 
@@ -294,7 +327,7 @@ impl StepSolver {
         // One tolerance serves all columns: a looser one of the responses scales their references.
         let looser = if first_response > 0 && !matrix.is_tangent() { self.settings.response_tolerance / relative_tolerance } else { 1.0 };
         self.reference_norms.extend(columns[first_response..].iter().map(|column| norm(column) * looser));
-        let product = |x: &[Vector3<f64>], y: &mut [Vector3<f64>]| matrix.multiply(x, y);
+        let product = |listed: &[usize], x: &[Vec<Vector3<f64>>], y: &mut [Vec<Vector3<f64>>]| matrix.multiply_columns(listed, x, y);
         self.guesses.subtract(&product, &mut columns[first_response..]);
         let is_symmetric = matrix.is_symmetric();
         let (path, report) = self.iterate(matrix, &product, is_symmetric, columns, relative_tolerance)?;
@@ -323,7 +356,7 @@ impl StepSolver {
     ) -> Result<(SolvePath, KrylovReport), MechanicsError> {
         let limits = KrylovLimits { relative_tolerance, iteration_limit: self.settings.iteration_limit };
         let (direct, single) = (&mut self.direct, &mut self.single);
-        let factor = self.preconditioner.as_ref().and_then(|kept| kept.factor.as_ref());
+        let factor = self.preconditioner.as_ref().and_then(Preconditioner::factor);
         let mut precondition = |columns: &mut [Vec<Vector3<f64>>]| match factor {
             Some(factor) => factor.solve_in_place(columns, single),
             None => matrix.operator.factor().solve_in_place(columns, direct),
@@ -339,83 +372,12 @@ impl StepSolver {
         Ok((SolvePath::Gmres, report))
     }
 
-    /// Factorises K̃ + sym⁺(K_img) if there is no preconditioner for this operator or the last one served badly.
+    /// Factorises a preconditioner if there is none for this operator or the last one served badly; whether it did.
     fn prepare_preconditioner(&mut self, step: StepMatrix<'_>) -> Result<bool, MechanicsError> {
-        let operator = step.operator;
-        let kept = self
-            .preconditioner
-            .take()
-            .filter(|kept| kept.step_s == operator.step_s() && Arc::ptr_eq(kept.matrix.pattern(), operator.matrix().pattern()));
-        let (mut matrix, factor) = match kept {
-            Some(kept) if kept.excess < self.settings.excess_iterations => {
-                self.preconditioner = Some(kept);
-                return Ok(false);
-            }
-            Some(kept) => (kept.matrix, kept.factor),
-            None => (step.matrix.clone(), None),
-        };
-        matrix.copy_from(step.matrix);
-        for (vertex, block) in step.stiffness_mn_per_mm.iter().enumerate().filter(|(_, block)| **block != Matrix3::zeros()) {
-            matrix.add_to_diagonal(vertex, &positive_part(block));
-        }
-        let factorised = match factor {
-            Some(mut factor) => factor.refactorise(&matrix, &mut self.single).map(|()| factor),
-            None => CholeskyFactor::new(Arc::clone(operator.factor().structure()), &matrix, &mut self.single),
-        };
-        let factor = match factorised {
-            Ok(factor) => Some(factor),
-            Err(LinearSolveError::NotPositiveDefinite { .. }) if step.is_tangent() && !step.is_convex => {
-                return Err(MechanicsError::NotConvex);
-            }
-            Err(LinearSolveError::NotPositiveDefinite { .. }) => None,
-            Err(error) => return Err(error.into()),
-        };
-        let step_s = operator.step_s();
-        self.preconditioner = Some(Preconditioner { matrix, factor, kept_floor: None, excess: 0, step_s, is_fresh: true });
-        Ok(true)
-    }
-}
-
-impl Preconditioner {
-    fn served(&mut self, iteration_count: usize) {
-        if std::mem::take(&mut self.is_fresh) {
-            return;
-        }
-        let floor = self.kept_floor.map_or(iteration_count, |floor| floor.min(iteration_count));
-        self.kept_floor = Some(floor);
-        self.excess += iteration_count - floor;
-    }
-}
-
-impl Guesses {
-    /// Subtracts A times the last response, scaled so that the least is left.
-    fn subtract(&mut self, product: &Product<'_>, columns: &mut [Vec<Vector3<f64>>]) {
-        self.weights.clear();
-        self.responses.resize_with(self.responses.len().max(columns.len()), Vec::new);
-        for (column, guess) in columns.iter_mut().zip(&self.responses) {
-            if guess.len() != column.len() {
-                self.weights.push(0.0);
-                continue;
-            }
-            self.product.resize(column.len(), Vector3::zeros());
-            product(guess, &mut self.product);
-            let (overlap, square) =
-                self.product.iter().zip(column.iter()).fold((0.0, 0.0), |(o, s), (a, g)| (o + a.dot(g), s + a.norm_squared()));
-            let weight = if square > 0.0 && (overlap / square).is_finite() { overlap / square } else { 0.0 };
-            column.iter_mut().zip(&self.product).for_each(|(column, product)| *column -= product * weight);
-            self.weights.push(weight);
-        }
-    }
-
-    /// Adds to the corrections what was subtracted, and keeps the sums.
-    fn add_and_keep(&mut self, columns: &mut [Vec<Vector3<f64>>]) {
-        for ((column, guess), weight) in columns.iter_mut().zip(&mut self.responses).zip(&self.weights) {
-            if guess.len() == column.len() {
-                column.iter_mut().zip(guess.iter()).for_each(|(column, guess)| *column += guess * *weight);
-            }
-            guess.clear();
-            guess.extend_from_slice(column);
-        }
+        let kept = self.preconditioner.take().filter(|kept| kept.fits(step));
+        let is_good = kept.as_ref().is_some_and(|kept| kept.excess() < self.settings.excess_iterations);
+        self.preconditioner = if is_good { kept } else { Some(Preconditioner::renewed(kept, step, &mut self.single)?) };
+        Ok(!is_good)
     }
 }
 
@@ -429,15 +391,4 @@ pub(super) fn norm(field: &[Vector3<f64>]) -> f64 {
 
 fn is_symmetric(block: &Matrix3<f64>) -> bool {
     (block - block.transpose()).norm() <= 1e-12 * block.norm()
-}
-
-/// The symmetric part without its negative eigenvalues, so that the preconditioner stays positive definite.
-fn positive_part(block: &Matrix3<f64>) -> Matrix3<f64> {
-    if !block.iter().all(|entry| entry.is_finite()) {
-        return Matrix3::zeros();
-    }
-    let symmetric = (block + block.transpose()) / 2.0;
-    let mut eigen = symmetric.symmetric_eigen();
-    eigen.eigenvalues.apply(|value| *value = value.max(0.0));
-    eigen.recompose()
 }

@@ -7,8 +7,8 @@ use super::LinearSolveError;
 
 /// One vector a vertex.
 type Field = Vec<Vector3<f64>>;
-/// y = A x.
-pub(super) type Apply<'a> = dyn Fn(&[Vector3<f64>], &mut [Vector3<f64>]) + 'a;
+/// Writes A times the listed columns of the first fields to the same columns of the second.
+pub(super) type Apply<'a> = dyn Fn(&[usize], &[Field], &mut [Field]) + 'a;
 /// Replaces every right-hand side by its preconditioned self.
 pub(super) type Precondition<'a> = dyn FnMut(&mut [Vec<Vector3<f64>>]) -> Result<(), LinearSolveError> + 'a;
 
@@ -46,8 +46,9 @@ pub struct KrylovWorkspace {
     residual: Vec<Field>,
     direction: Vec<Field>,
     preconditioned: Vec<Field>,
-    product: Field,
+    product: Vec<Field>,
     columns: Vec<ColumnState>,
+    open: Vec<usize>,
     arnoldi: Vec<Arnoldi>,
 }
 
@@ -82,15 +83,13 @@ pub fn conjugate_gradients(
         }
         iteration_count += 1;
         work.precondition_residuals(count, precondition)?;
-        let mut slot = 0;
-        for column in 0..count {
-            if work.columns[column].is_done {
-                continue;
-            }
-            if !work.conjugate_step(column, slot, iteration_count == 1, apply) {
+        work.turn_directions(iteration_count == 1);
+        apply(&work.open, &work.direction, &mut work.product);
+        for slot in 0..work.open.len() {
+            let column = work.open[slot];
+            if !work.conjugate_step(column) {
                 return Ok(ConjugateGradientOutcome::NegativeCurvature);
             }
-            slot += 1;
             let state = &mut work.columns[column];
             if !state.residual_norm.is_finite() {
                 return Err(LinearSolveError::NotFinite { right_hand_side: column });
@@ -160,17 +159,22 @@ pub fn gmres(
 }
 
 impl KrylovWorkspace {
+    /// Norm of the residual that the last solve left in a column; 0 for a column that it did not have.
+    pub fn residual_norm(&self, column: usize) -> f64 {
+        self.columns.get(column).map_or(0.0, |column| column.residual_norm)
+    }
+
     fn start(&mut self, right_hand_sides: &[Field], reference_norms: &[f64], limits: KrylovLimits) -> Result<(), LinearSolveError> {
         let count = right_hand_sides.len();
         if reference_norms.len() != count {
             return Err(LinearSolveError::Size { what: "reference norms", expected: count, found: reference_norms.len() });
         }
-        for fields in [&mut self.solution, &mut self.residual, &mut self.direction, &mut self.preconditioned] {
+        for fields in [&mut self.solution, &mut self.residual, &mut self.direction, &mut self.preconditioned, &mut self.product] {
             fields.resize_with(count.max(fields.len()), Vec::new);
         }
         self.columns.resize(count.max(self.columns.len()), ColumnState::default());
         for (column, (rhs, &reference_norm)) in right_hand_sides.iter().zip(reference_norms).enumerate() {
-            self.product.resize(rhs.len(), Vector3::zeros());
+            self.product[column].resize(rhs.len(), Vector3::zeros());
             self.solution[column].clear();
             self.solution[column].resize(rhs.len(), Vector3::zeros());
             self.direction[column].resize(rhs.len(), Vector3::zeros());
@@ -187,34 +191,39 @@ impl KrylovWorkspace {
         Ok(())
     }
 
-    /// Preconditions the residuals of the unfinished columns into the first slots of `preconditioned`, in column order.
+    /// Lists the unfinished columns and preconditions their residuals into the first slots of `preconditioned`, in this order.
     fn precondition_residuals(&mut self, count: usize, precondition: &mut Precondition<'_>) -> Result<(), LinearSolveError> {
-        let mut slot = 0;
-        for column in (0..count).filter(|&column| !self.columns[column].is_done) {
+        self.open.clear();
+        self.open.extend((0..count).filter(|&column| !self.columns[column].is_done));
+        for (slot, &column) in self.open.iter().enumerate() {
             self.preconditioned[slot].copy_from_slice(&self.residual[column]);
-            slot += 1;
         }
-        precondition(&mut self.preconditioned[..slot])
+        precondition(&mut self.preconditioned[..self.open.len()])
     }
 
-    /// One step of conjugate gradients in a column; false at a direction of negative curvature.
-    fn conjugate_step(&mut self, column: usize, slot: usize, is_first: bool, apply: &Apply<'_>) -> bool {
-        let state = &mut self.columns[column];
-        let (z, p) = (&self.preconditioned[slot], &mut self.direction[column]);
-        let rho = dot(&self.residual[column], z);
-        let beta = if is_first { 0.0 } else { rho / state.rho };
-        for (p, z) in p.iter_mut().zip(z) {
-            *p = if is_first { *z } else { z + *p * beta };
+    /// The next direction of every open column, conjugate to the ones before.
+    fn turn_directions(&mut self, is_first: bool) {
+        for (slot, &column) in self.open.iter().enumerate() {
+            let (z, p, state) = (&self.preconditioned[slot], &mut self.direction[column], &mut self.columns[column]);
+            let rho = dot(&self.residual[column], z);
+            let beta = if is_first { 0.0 } else { rho / state.rho };
+            state.rho = rho;
+            for (p, z) in p.iter_mut().zip(z) {
+                *p = if is_first { *z } else { z + *p * beta };
+            }
         }
-        apply(p, &mut self.product);
-        let curvature = dot(p, &self.product);
-        if curvature <= 0.0 || rho <= 0.0 {
+    }
+
+    /// Goes along a column's direction, whose product is known; false at a direction of negative curvature.
+    fn conjugate_step(&mut self, column: usize) -> bool {
+        let (state, p, product) = (&mut self.columns[column], &self.direction[column], &self.product[column]);
+        let curvature = dot(p, product);
+        if curvature <= 0.0 || state.rho <= 0.0 {
             return false;
         }
-        let alpha = rho / curvature;
-        state.rho = rho;
+        let alpha = state.rho / curvature;
         add_scaled(&mut self.solution[column], alpha, p);
-        add_scaled(&mut self.residual[column], -alpha, &self.product);
+        add_scaled(&mut self.residual[column], -alpha, product);
         state.residual_norm = norm(&self.residual[column]);
         true
     }
@@ -227,20 +236,18 @@ impl KrylovWorkspace {
         apply: &Apply<'_>,
         limits: KrylovLimits,
     ) -> Result<(), LinearSolveError> {
-        let mut slot = 0;
-        for (column, _) in is_open.iter().enumerate().filter(|&(_, &open)| open) {
+        self.open.clear();
+        self.open.extend((0..is_open.len()).filter(|&column| is_open[column]));
+        for (slot, &column) in self.open.iter().enumerate() {
             let arnoldi = &self.arnoldi[column];
             self.preconditioned[slot].copy_from_slice(&arnoldi.basis[arnoldi.step_count]);
-            slot += 1;
         }
-        precondition(&mut self.preconditioned[..slot])?;
-        slot = 0;
-        for (column, open) in is_open.iter_mut().enumerate().filter(|(_, open)| **open) {
-            apply(&self.preconditioned[slot], &mut self.product);
-            slot += 1;
-            let residual_norm = self.arnoldi[column].extend(&mut self.product);
+        precondition(&mut self.preconditioned[..self.open.len()])?;
+        for (slot, &column) in self.open.iter().enumerate() {
+            apply(&[slot], &self.preconditioned, &mut self.product);
+            let residual_norm = self.arnoldi[column].extend(&mut self.product[slot]);
             // A NaN closes the column too; it is found when the true residual is formed.
-            *open = residual_norm > 0.5 * limits.relative_tolerance * self.columns[column].reference_norm;
+            is_open[column] = residual_norm > 0.5 * limits.relative_tolerance * self.columns[column].reference_norm;
         }
         Ok(())
     }
@@ -261,8 +268,8 @@ impl KrylovWorkspace {
         precondition(&mut self.preconditioned[..stepped.len()])?;
         for (slot, &column) in stepped.iter().enumerate() {
             add_scaled(&mut self.solution[column], 1.0, &self.preconditioned[slot]);
-            apply(&self.solution[column], &mut self.product);
-            for ((r, b), ax) in self.residual[column].iter_mut().zip(&right_hand_sides[column]).zip(&self.product) {
+            apply(&[column], &self.solution, &mut self.product);
+            for ((r, b), ax) in self.residual[column].iter_mut().zip(&right_hand_sides[column]).zip(&self.product[column]) {
                 *r = b - ax;
             }
             self.columns[column].residual_norm = norm(&self.residual[column]);
@@ -388,6 +395,10 @@ mod tests {
         }
     }
 
+    fn listed(product: impl Fn(&[Vector3<f64>], &mut [Vector3<f64>])) -> impl Fn(&[usize], &[Field], &mut [Field]) {
+        move |listed, x, y| listed.iter().for_each(|&column| product(&x[column], &mut y[column]))
+    }
+
     fn columns() -> Vec<Field> {
         let field = |seed: f64| (0..COUNT).map(|v| Vector3::new((seed * v as f64).sin(), seed, (v as f64).cos())).collect();
         vec![field(0.3), vec![Vector3::zeros(); COUNT], field(1.1)]
@@ -412,7 +423,7 @@ mod tests {
                 columns.iter_mut().for_each(|c| c.iter_mut().enumerate().for_each(|(vertex, v)| *v /= diagonal(vertex)));
                 Ok(())
             };
-            let product = |x: &[Vector3<f64>], y: &mut [Vector3<f64>]| apply(skew, x, y);
+            let product = listed(move |x, y| apply(skew, x, y));
             if skew == 0.0 {
                 let outcome = conjugate_gradients(&product, &mut precondition, &mut solved, &norms(), LIMITS, &mut work).unwrap();
                 assert!(matches!(outcome, ConjugateGradientOutcome::Converged(_)));
@@ -437,7 +448,7 @@ mod tests {
             }
         };
         let mut solved = columns();
-        let report = gmres(&product, &mut |_| Ok(()), &mut solved, &norms(), LIMITS, &mut KrylovWorkspace::default()).unwrap();
+        let report = gmres(&listed(product), &mut |_| Ok(()), &mut solved, &norms(), LIMITS, &mut KrylovWorkspace::default()).unwrap();
         assert!(report.iteration_count > RESTART, "no restart: {report:?}");
         for (solution, rhs) in solved.iter().zip(&columns()) {
             let mut applied = vec![Vector3::zeros(); COUNT];
@@ -453,7 +464,8 @@ mod tests {
             y.iter_mut().zip(x).enumerate().for_each(|(vertex, (y, x))| *y = x * (diagonal(vertex) - 10.5));
         };
         let mut solved = columns();
-        let outcome = conjugate_gradients(&product, &mut |_| Ok(()), &mut solved, &norms(), LIMITS, &mut KrylovWorkspace::default());
+        let outcome =
+            conjugate_gradients(&listed(product), &mut |_| Ok(()), &mut solved, &norms(), LIMITS, &mut KrylovWorkspace::default());
         assert_eq!(outcome, Ok(ConjugateGradientOutcome::NegativeCurvature));
         assert_eq!(solved, columns());
     }

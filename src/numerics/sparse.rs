@@ -147,29 +147,36 @@ impl BlockMatrix {
         }
     }
 
+    /// $y_c = A x_c$ for the columns that are listed, each one vector a vertex: one pass over the matrix serves all of them.
+    pub fn multiply_columns(&self, listed: &[usize], x: &[Vec<Vector3<f64>>], y: &mut [Vec<Vector3<f64>>]) {
+        for (row, range) in self.pattern.row_starts.windows(2).map(|row| row[0]..row[1]).enumerate() {
+            let (blocks, columns) = (&self.blocks[range.clone()], &self.pattern.columns[range]);
+            for &listed in listed {
+                y[listed][row] = row_times(blocks, columns, &x[listed]);
+            }
+        }
+    }
+
     /// $Y \mathrel{+}= A X$ for several columns, each one vector a vertex: one pass over the matrix serves all of them.
     pub fn multiply_add_columns(&self, x: &[Vec<Vector3<f64>>], y: &mut [Vec<Vector3<f64>>]) {
         for row in 0..self.pattern.vertex_count() {
             let range = self.pattern.blocks_of(row);
             let (blocks, columns) = (&self.blocks[range.clone()], &self.pattern.columns[range]);
             for (x, y) in x.iter().zip(y.iter_mut()) {
-                let mut sum = Vector3::zeros();
-                for (block, &column) in blocks.iter().zip(columns) {
-                    sum += block * x[column];
-                }
-                y[row] += sum;
+                y[row] += row_times(blocks, columns, x);
             }
         }
     }
 
     fn row_times(&self, row: usize, x: &[Vector3<f64>]) -> Vector3<f64> {
         let range = self.pattern.blocks_of(row);
-        let mut sum = Vector3::zeros();
-        for (block, &column) in self.blocks[range.clone()].iter().zip(&self.pattern.columns[range]) {
-            sum += block * x[column];
-        }
-        sum
+        row_times(&self.blocks[range.clone()], &self.pattern.columns[range], x)
     }
+}
+
+#[inline]
+fn row_times(blocks: &[Matrix3<f64>], columns: &[usize], x: &[Vector3<f64>]) -> Vector3<f64> {
+    blocks.iter().zip(columns).fold(Vector3::zeros(), |sum, (block, &column)| sum + block * x[column])
 }
 
 #[cfg(test)]

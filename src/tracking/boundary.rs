@@ -34,7 +34,7 @@ impl Default for BoundarySettings {
     fn default() -> Self {
         Self {
             range_mm: 8.0,
-            sample_mm: 0.5,
+            sample_mm: 1.0,
             angle_full_deg: 45.0,
             angle_none_deg: 60.0,
             agreement_mm: 2.0,
