@@ -13,6 +13,7 @@ mod each_beat;
 mod error;
 #[cfg(test)]
 mod idealised_lv;
+mod lead_in;
 mod model;
 mod newton;
 mod observables;

@@ -191,13 +191,18 @@ impl HeartModel {
         stress_kpa.extend(tetrahedra.map(|(corners, peak_kpa)| peak_kpa * mean(corners)));
     }
 
-    /// The state at the start: the mesh rests in equilibrium under the atrial pressures of that instant, whose load is subtracted for
-    /// good (prestress). Any instant will do, also a negative one; the ventricles count as filling.
+    /// The state at rest: the mesh is in equilibrium under the atrial pressures of that instant, whose load is subtracted for good
+    /// (prestress). Any instant will do, also a negative one; the ventricles count as filling.
     pub fn initial_state(&self, start_time_s: f64) -> HeartState {
+        self.state_at_rest(start_time_s, start_time_s)
+    }
+
+    /// The same under the atrial pressures of another instant.
+    pub(super) fn state_at_rest(&self, start_time_s: f64, pressure_time_s: f64) -> HeartState {
         let vertices_mm = self.anatomy.mesh.vertices_mm();
         let motion = MotionState::at_rest(vertices_mm.to_vec());
         let state_of = |model: &VentricleModel| {
-            let atrial_pressure_kpa = model.atrium.pressure_kpa(start_time_s);
+            let atrial_pressure_kpa = model.atrium.pressure_kpa(pressure_time_s);
             VentricleState {
                 ventricle: model.ventricle,
                 volume_mm3: model.rest_volume_mm3,

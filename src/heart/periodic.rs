@@ -35,7 +35,7 @@ pub struct PeriodicOutcome {
     pub is_periodic: bool,
 }
 
-/// Beats a heart from its rest at `start_time_s` until two consecutive beats agree, or the limit is reached. The frames are those of the
+/// Beats a heart from `start_time_s`, as [`simulate`](super::simulate), until two consecutive beats agree, or the limit is reached. The frames are those of the
 /// last beat, at the `frame_times_s` after its start that lie within one period.
 ///
 /// # Errors
@@ -49,7 +49,7 @@ pub fn simulate_until_periodic(
     observer: &mut dyn FnMut(&HeartState, &CurveRow) -> ControlFlow<()>,
 ) -> Result<PeriodicOutcome, StepError> {
     let period_s = model.parameters()[Parameter::HeartPeriod];
-    let mut state = model.initial_state(start_time_s);
+    let mut state = model.state_at_start(start_time_s, &mut model.workspace())?;
     let mut curves: Vec<CurveRow> = Vec::new();
     let mut before: Option<Trajectory> = None;
     let mut early_frames = Vec::new();

@@ -11,7 +11,8 @@ use crate::units::ml_from_mm3;
 /// From when to when a heart beats, and at which instants it is looked at.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulationPlan {
-    /// Start, s; the mesh rests there.
+    /// Start, s; the mesh rests there, or at the first depolarisation if that comes before, see
+    /// [`state_at_start`](HeartModel::state_at_start).
     pub start_time_s: f64,
     /// End, s; the last step reaches or passes it.
     pub end_time_s: f64,
@@ -51,8 +52,8 @@ pub struct Trajectory {
     pub stopped: bool,
 }
 
-/// Beats a heart under the loads of data (none for the free heart) from its rest at the start of the plan. `observer` sees the start and
-/// every step and may stop.
+/// Beats a heart under the loads of data (none for the free heart) from the start of the plan, see
+/// [`state_at_start`](HeartModel::state_at_start). `observer` sees the start and every step and may stop.
 ///
 /// # Errors
 /// The [`StepError`] of the first step that fails.
@@ -62,7 +63,8 @@ pub fn simulate(
     loads: &[&dyn StepLoad],
     observer: &mut dyn FnMut(&HeartState, &CurveRow) -> ControlFlow<()>,
 ) -> Result<Trajectory, StepError> {
-    simulate_from(model, model.initial_state(plan.start_time_s), plan, loads, observer)
+    let start = model.state_at_start(plan.start_time_s, &mut model.workspace())?;
+    simulate_from(model, start, plan, loads, observer)
 }
 
 /// Beats a heart on from any state; the plan's start time is that of the state.

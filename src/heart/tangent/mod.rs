@@ -27,8 +27,9 @@ use std::ops::ControlFlow;
 
 use step::TangentColumns;
 
+use super::lead_in::LeadIn;
 use super::simulate::{Recording, step_count};
-use super::{CurveRow, HeartModel, HeartState, RegionalParameter, SimulationPlan, TangentError, Trajectory};
+use super::{CurveRow, HeartModel, HeartState, RegionalParameter, SimulationPlan, StepOutcome, TangentError, Trajectory};
 use crate::mechanics::StepLoad;
 
 /// [`simulate`](super::simulate) with the derivatives of its trajectory by `parameters`, one trajectory each: every number is the
@@ -46,8 +47,14 @@ pub fn simulate_with_tangents(
     observer: &mut dyn FnMut(&HeartState, &CurveRow) -> ControlFlow<()>,
 ) -> Result<(Trajectory, Vec<Trajectory>), TangentError> {
     let step_s = model.settings().step_s;
-    let start = model.initial_state(plan.start_time_s);
-    let mut columns = TangentColumns::new(model, &start, loads, parameters)?;
+    let lead_in = LeadIn::new(model, plan.start_time_s);
+    let mut columns = TangentColumns::new(model, &lead_in, !loads.is_empty(), parameters)?;
+    let start = lead_in.run::<TangentError>(model, &mut model.workspace(), |before, outcome, workspace| {
+        check_whole(outcome)?;
+        columns.step(model, &[], before, &outcome.state, workspace)?;
+        columns.hold_arteries();
+        Ok(())
+    })?;
     let mut workspace = model.workspace();
     let step_count = step_count(&start, plan, step_s);
     let mut recordings: Vec<Recording<'_>> = columns.rates().map(|(_, rate)| Recording::new(rate, plan, step_s)).collect();
@@ -58,10 +65,7 @@ pub fn simulate_with_tangents(
             break;
         }
         let outcome = model.step(&last, loads, &mut workspace)?;
-        if outcome.substep_count > 1 {
-            let reason = "a step did not converge as a whole and was taken in halves";
-            return Err(TangentError::NoTangent { parameter: "step_s", reason });
-        }
+        check_whole(&outcome)?;
         columns.step(model, loads, &last, &outcome.state, &workspace)?;
         for (recording, (before, after)) in recordings.iter_mut().zip(columns.rates()) {
             recording.add(before, after);
@@ -74,4 +78,9 @@ pub fn simulate_with_tangents(
     let tangents = recordings.into_iter().zip(columns.into_rates());
     let tangents = tangents.map(|(recording, rate)| recording.into_trajectory(rate, is_stopped)).collect();
     Ok((recording.into_trajectory(last, is_stopped), tangents))
+}
+
+fn check_whole(outcome: &StepOutcome) -> Result<(), TangentError> {
+    let reason = "a step did not converge as a whole and was taken in halves";
+    if outcome.substep_count > 1 { Err(TangentError::NoTangent { parameter: "step_s", reason }) } else { Ok(()) }
 }

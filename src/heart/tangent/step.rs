@@ -4,13 +4,14 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::super::contraction::Contraction;
+use super::super::lead_in::{LeadIn, hold_artery};
 use super::super::model::VentricleModel;
 use super::super::step::dot;
 use super::super::{HeartModel, HeartState, PressureLoad, RegionalParameter, StepError, StepWorkspace, TangentError, VentricleState};
 use super::internal_force::ForceMemory;
 use super::linearised::{LinearisedMemory, LinearisedStep, RELATIVE_TOLERANCE};
 use super::rates::{LawRate, ModelRate};
-use crate::circulation::{CirculationError, PortRates, ValveRates, VentricleFlowRate};
+use crate::circulation::{AtrialPressureRate, CirculationError, PortRates, ValveRates, VentricleFlowRate};
 use crate::mechanics::{ColumnSolver, ContractionRate, Kinematics, MechanicsError, MotionState, StepLoad};
 use crate::mesh::SurfaceTag;
 
@@ -47,14 +48,14 @@ struct ChunkMemory {
 }
 
 impl TangentColumns {
-    /// The derivatives of the start.
+    /// The derivatives of the heart at rest.
     ///
     /// # Errors
     /// [`TangentError::NoTangent`] for a parameter or a model without tangent.
     pub(super) fn new(
         model: &HeartModel,
-        start: &HeartState,
-        loads: &[&dyn StepLoad],
+        lead_in: &LeadIn,
+        has_loads: bool,
         parameters: &[RegionalParameter],
     ) -> Result<Self, TangentError> {
         if model.settings.kinematics == Kinematics::Linear && model.settings.pressure_load != PressureLoad::Reference {
@@ -62,8 +63,8 @@ impl TangentColumns {
             return Err(TangentError::NoTangent { parameter: "pressure_load", reason });
         }
         let column = |parameter: &RegionalParameter| {
-            let rate = ModelRate::new(model, *parameter, !loads.is_empty())?;
-            let start = initial_rates(model, &rate, start);
+            let rate = ModelRate::new(model, *parameter, has_loads)?;
+            let start = rest_rates(model, &rate, lead_in);
             Ok(Column { before: start.clone(), after: start, rate, has_begun: false })
         };
         let columns = parameters.iter().map(column).collect::<Result<_, TangentError>>()?;
@@ -78,6 +79,15 @@ impl TangentColumns {
     /// The last derivatives.
     pub(super) fn into_rates(self) -> impl Iterator<Item = HeartState> {
         self.columns.into_iter().map(|column| column.after)
+    }
+
+    /// What is done to the arteries after a step that leads to the start.
+    pub(super) fn hold_arteries(&mut self) {
+        for Column { rate, after, .. } in &mut self.columns {
+            for (ventricle, own) in after.ventricles.iter_mut().zip(&rate.ventricles) {
+                hold_artery(ventricle, own.initial_capacitor_kpa);
+            }
+        }
     }
 
     /// Takes them over the step from `before` to `after` that has left `workspace`.
@@ -260,12 +270,16 @@ impl LinearisedStep<'_> {
     }
 }
 
-/// The derivatives of [`HeartModel::initial_state`]: the mesh rests, under pressures that change.
-fn initial_rates(model: &HeartModel, rate: &ModelRate, start: &HeartState) -> HeartState {
+/// The derivatives of the heart at rest, under pressures that change: with a parameter of the atria, and with the time of the first
+/// depolarisation where the heart rests at that, as later on the atrial curve as that is.
+fn rest_rates(model: &HeartModel, rate: &ModelRate, LeadIn { rest, first_vertex, .. }: &LeadIn) -> HeartState {
     let zeros = vec![Vector3::zeros(); model.anatomy.mesh.vertex_count()];
+    let first_s = first_vertex.map(|vertex| model.activation().times_s()[vertex]);
+    let later_s = first_vertex.zip(rate.depolarisation_s.as_ref()).map_or(0.0, |(vertex, rates)| rates[vertex]);
     let of = |(ventricle, state): (usize, &VentricleState)| {
         let own = &rate.ventricles[ventricle];
-        let atrial_pressure_kpa = model.ventricles[ventricle].atrium.pressure_rate_kpa(&own.atrium, start.time_s);
+        let atrium = AtrialPressureRate { kick_end_s: own.atrium.kick_end_s - later_s, ..own.atrium };
+        let atrial_pressure_kpa = model.ventricles[ventricle].atrium.pressure_rate_kpa(&atrium, first_s.unwrap_or(rest.time_s));
         VentricleState {
             volume_mm3: 0.0,
             pressure_kpa: atrial_pressure_kpa,
@@ -279,8 +293,8 @@ fn initial_rates(model: &HeartModel, rate: &ModelRate, start: &HeartState) -> He
         }
     };
     HeartState {
-        time_s: start.time_s,
+        time_s: rest.time_s,
         motion: MotionState::at_rest(zeros),
-        ventricles: start.ventricles.iter().enumerate().map(of).collect(),
+        ventricles: rest.ventricles.iter().enumerate().map(of).collect(),
     }
 }

@@ -138,6 +138,22 @@ fn activation_passes_the_taylor_test() {
     passes(&model(), &beat(), &everywhere(&class), 2e-4);
 }
 
+/// The onset lies before the start: the derivatives begin with the steps that lead there.
+#[test]
+fn a_start_after_the_onset_passes_the_taylor_test() {
+    let class = [
+        (Parameter::OnsetTime, 0.03),
+        (Parameter::ConductionVelocity, 600.0),
+        (Parameter::ContractionPeakLv, 120.0),
+        (Parameter::AtrialPressureLeft, 1.0),
+        (Parameter::AtrialKickLeft, 0.5),
+        (Parameter::AtrialKickOverlap, 0.05),
+        (Parameter::InitialPressureAorta, 10.0),
+    ];
+    let plan = SimulationPlan { start_time_s: 0.06, end_time_s: 0.3, frame_times_s: vec![0.123, 0.27] };
+    passes(&model(), &plan, &everywhere(&class), 2e-4);
+}
+
 /// Every part's own value, and the whole heart's where parts have their own.
 #[test]
 fn parts_of_the_heart_pass_the_taylor_test() {

@@ -127,7 +127,7 @@ fn right_sigma_ml(data: &DataPlan, measured: &MeasuredVolumes) -> Option<f64> {
 fn tracked_targets(anatomy: &Anatomy, tracked: &Tracked) -> Vec<SurfaceTarget> {
     let segments = vertex_segments(anatomy);
     let mut targets = Vec::new();
-    // The first frame is the mesh at rest, which no parameter moves.
+    // The first frame is the mesh as it was drawn, which hardly any parameter moves.
     for (place, frame) in tracked.motion.frames.iter().enumerate().skip(1) {
         for surface in &frame.targets {
             targets.extend(surface.targets.iter().filter(|target| target.confidence > 0.0).map(|target| SurfaceTarget {
