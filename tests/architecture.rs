@@ -50,6 +50,7 @@ const CRATES: &[(&str, &[&str])] = &[
     ("toml", &["study"]),
     ("strsim", &["study"]),
     ("clap", &["cli"]),
+    ("clap_complete", &["cli"]),
     ("indicatif", &["cli"]),
     ("ctrlc", &["cli"]),
     ("anyhow", &["cli"]),

@@ -25,8 +25,12 @@ pub(super) enum Command {
     Cohort(CohortArguments),
     /// Gather what the parts of a sensitivity study or a cohort left (--shard) and read the whole; to do it again changes nothing
     Merge(StudyArguments),
+    /// Write a commented study file for your images, label maps, masks or mesh
+    Init(InitArguments),
     /// Say what a study would do, or what is wrong with its file
     Check(StudyArguments),
+    /// Print the references of what a study uses, as BibTeX
+    Cite(StudyArguments),
     /// Say what an image shows: grid, spacing, orientation, frames, times, labels, and what is odd about it
     Info(InfoArguments),
     /// Mesh the heart of a study, of a label map or of masks, and say what the mesh is worth
@@ -37,6 +41,63 @@ pub(super) enum Command {
     Follow(FollowArguments),
     /// List every parameter of the model: name, unit, default, range, meaning, source
     Parameters,
+    /// Print the completions of a shell: commands and options at the press of a key
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+}
+
+impl Command {
+    /// What this command says on stderr while it works; the usual where it has no say in that.
+    pub(super) fn talk(&self) -> TalkArguments {
+        match self {
+            Self::Run(RunArguments { talk, .. }) | Self::Cohort(CohortArguments { talk, .. }) | Self::Mesh(MeshArguments { talk, .. }) => {
+                *talk
+            }
+            _ => TalkArguments::default(),
+        }
+    }
+}
+
+/// What is said on stderr while the program works.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub(super) struct TalkArguments {
+    /// Say nothing but warnings and errors
+    #[arg(short, long, conflicts_with_all = ["verbose", "json_progress"])]
+    pub(super) quiet: bool,
+    /// Say first what will be done, and every ten seconds how far it is
+    #[arg(short, long, conflicts_with = "json_progress")]
+    pub(super) verbose: bool,
+    /// Say everything as JSON on stderr, an object a line: stage, done, total, eta_s; warnings and errors too
+    #[arg(long)]
+    pub(super) json_progress: bool,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct InitArguments {
+    /// Files in any order, told apart by what they hold: a cine (4D NIfTI or a folder of DICOM files), label maps (NIfTI, of one frame or of
+    /// every frame), trigger times (.json), a volume curve (.csv); or a mesh alone (.vtu, .vtk, .msh)
+    #[arg(value_name = "FILE")]
+    pub(super) files: Vec<PathBuf>,
+    /// In place of a label map: the mask of what the epicardium encloses
+    #[arg(long, value_name = "MASK", requires = "endocardium_lv")]
+    pub(super) epicardium: Option<PathBuf>,
+    /// … the mask of the left ventricle's blood
+    #[arg(long, value_name = "MASK", requires = "epicardium")]
+    pub(super) endocardium_lv: Option<PathBuf>,
+    /// … the mask of the right ventricle's blood
+    #[arg(long, value_name = "MASK", requires = "epicardium")]
+    pub(super) endocardium_rv: Option<PathBuf>,
+    /// Frame of the cine that the labels were drawn on, from 0; looked for on the images where absent
+    #[arg(long, value_name = "N")]
+    pub(super) frame: Option<usize>,
+    /// The study file to be written
+    #[arg(short, long, value_name = "FILE", default_value = "study.toml")]
+    pub(super) output: PathBuf,
+    /// Write over a study file that is there already
+    #[arg(long)]
+    pub(super) force: bool,
 }
 
 #[derive(Debug, Args)]
@@ -49,9 +110,8 @@ pub(super) struct RunArguments {
     /// Of a sensitivity study: do the i-th of n parts of its runs alone, as one of several jobs
     #[arg(long, value_name = "I/N")]
     pub(super) shard: Option<Shard>,
-    /// Say nothing but warnings, errors and results
-    #[arg(short, long)]
-    pub(super) quiet: bool,
+    #[command(flatten)]
+    pub(super) talk: TalkArguments,
 }
 
 #[derive(Debug, Args)]
@@ -68,9 +128,8 @@ pub(super) struct CohortArguments {
     /// Run the i-th of n parts of the patients alone, as one of several jobs
     #[arg(long, value_name = "I/N")]
     pub(super) shard: Option<Shard>,
-    /// Say nothing but warnings, errors and results
-    #[arg(short, long)]
-    pub(super) quiet: bool,
+    #[command(flatten)]
+    pub(super) talk: TalkArguments,
 }
 
 #[derive(Debug, Args)]
@@ -110,9 +169,8 @@ pub(super) struct MeshArguments {
     /// Print JSON in place of a table
     #[arg(long)]
     pub(super) json: bool,
-    /// Say nothing but warnings, errors and results
-    #[arg(short, long)]
-    pub(super) quiet: bool,
+    #[command(flatten)]
+    pub(super) talk: TalkArguments,
 }
 
 #[derive(Debug, Args)]

@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use crate::image::ImageError;
-use crate::study::{FollowError, RunError, Status, StudyError};
+use crate::study::{FollowError, InitError, RunError, Status, StudyError};
 
 /// How the program ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,7 +53,10 @@ impl From<&anyhow::Error> for Exit {
                 | RunError::Input { .. },
             ) => Self::BadInput,
             Some(_) => Self::Failed,
-            None if error.is::<StudyError>() || error.is::<ImageError>() || error.is::<FollowError>() => Self::BadInput,
+            None if matches!(error.downcast_ref(), Some(InitError::Report(_))) => Self::Failed,
+            None if error.is::<InitError>() || error.is::<StudyError>() || error.is::<ImageError>() || error.is::<FollowError>() => {
+                Self::BadInput
+            }
             None => Self::Failed,
         }
     }

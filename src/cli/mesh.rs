@@ -7,19 +7,19 @@ use anyhow::Context;
 
 use super::arguments::MeshArguments;
 use super::exit::Exit;
+use super::print;
 use super::progress::TerminalProgress;
-use super::{print, say};
-use crate::study::{Config, Overrides, Plan, RunContext, StudyError, mesh_heart};
+use crate::study::{Config, Overrides, Plan, Progress, RunContext, StudyError, mesh_heart};
 
 /// Meshes a heart and prints what the mesh is worth.
 pub(super) fn make(arguments: MeshArguments) -> anyhow::Result<Exit> {
-    let MeshArguments { output, figures, json, quiet, .. } = &arguments;
-    let (output, figures, json, quiet) = (output.clone(), figures.clone(), *json, *quiet);
+    let MeshArguments { output, figures, json, talk, .. } = &arguments;
+    let (output, figures, json, talk) = (output.clone(), figures.clone(), *json, *talk);
     let plan = plan_of(arguments)?;
-    let progress = TerminalProgress::new(quiet);
+    let progress = TerminalProgress::new(talk);
     let report = mesh_heart(&plan, &output, figures.as_deref(), &RunContext::new(&progress, &AtomicBool::new(false)))?;
     for warning in &report.warnings {
-        say(&format!("warning: {warning}"));
+        progress.warning(warning);
     }
     if json {
         let text = serde_json::to_string_pretty(&report).context("cannot write the report as JSON")?;

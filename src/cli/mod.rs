@@ -3,6 +3,7 @@
 mod arguments;
 mod exit;
 mod info;
+mod init;
 mod mesh;
 mod messages;
 mod progress;
@@ -13,30 +14,37 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use anyhow::Context;
-use clap::Parser;
+use clap::{CommandFactory, Parser};
+use serde_json::json;
 
 use self::arguments::{Arguments, Command, FollowArguments, StudyArguments};
 use self::exit::Exit;
-use crate::study::{Config, Plan, StudyError, follow};
+use crate::study::{Config, Plan, StudyError, bibliography, follow};
 
 /// Runs the program with the arguments of the process.
 pub fn main() -> ExitCode {
     std::panic::set_hook(Box::new(|panic| {
         say(&format!("error: the program met a state that it holds to be impossible: {panic}\n  please report it with the study file"));
     }));
-    let result = match Arguments::parse().command {
+    let command = Arguments::parse().command;
+    let is_heard_by_program = command.talk().json_progress;
+    let result = match command {
         Command::Run(arguments) => run::run_study(arguments),
         Command::Cohort(arguments) => run::run_cohort(arguments),
         Command::Merge(arguments) => run::merge_parts(arguments),
+        Command::Init(arguments) => init::write(arguments),
         Command::Check(arguments) => check_study(arguments),
+        Command::Cite(arguments) => cite_study(arguments),
         Command::Info(arguments) => info::show(&arguments),
         Command::Mesh(arguments) => mesh::make(arguments),
         Command::Volumes(arguments) => volumes::measure(arguments),
         Command::Follow(arguments) => follow_points(&arguments),
         Command::Parameters => print(&messages::parameter_table()).map(|()| Exit::Done),
+        Command::Completions { shell } => completions(shell),
     };
     let exit = result.unwrap_or_else(|error| {
-        say(&messages::error_chain(error.as_ref()));
+        let words = messages::error_chain(error.as_ref());
+        say(&if is_heard_by_program { json!({ "event": "error", "text": words }).to_string() } else { words });
         Exit::from(&error)
     });
     exit.into()
@@ -49,6 +57,18 @@ fn plan_of(arguments: StudyArguments) -> Result<Plan, StudyError> {
 
 fn check_study(arguments: StudyArguments) -> anyhow::Result<Exit> {
     print(&messages::plan_lines(&plan_of(arguments)?))?;
+    Ok(Exit::Done)
+}
+
+fn cite_study(arguments: StudyArguments) -> anyhow::Result<Exit> {
+    print(&bibliography(&plan_of(arguments)?))?;
+    Ok(Exit::Done)
+}
+
+fn completions(shell: clap_complete::Shell) -> anyhow::Result<Exit> {
+    let mut script = Vec::new();
+    clap_complete::generate(shell, &mut Arguments::command(), "cardiotwin", &mut script);
+    print(&String::from_utf8_lossy(&script))?;
     Ok(Exit::Done)
 }
 

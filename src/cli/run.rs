@@ -5,10 +5,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 
-use super::arguments::{CohortArguments, RunArguments, StudyArguments};
+use super::arguments::{CohortArguments, RunArguments, StudyArguments, TalkArguments};
 use super::exit::Exit;
+use super::messages::plan_lines;
 use super::progress::TerminalProgress;
-use super::{plan_of, print, say};
+use super::{plan_of, print};
 use crate::study::Choice;
 use crate::study::{Cohort, Config, Outcome, Overrides, Plan, RunContext, RunError, merge, run};
 
@@ -21,10 +22,11 @@ pub(super) fn run_study(arguments: RunArguments) -> anyhow::Result<Exit> {
         (None, None) => {}
     }
     use_threads(arguments.threads)?;
-    let stop = stop_on_interrupt()?;
-    let progress = TerminalProgress::new(arguments.quiet);
-    let outcome = run(&plan, &RunContext::new(&progress, &stop))?;
-    if !arguments.quiet {
+    let progress = Arc::new(TerminalProgress::new(arguments.talk));
+    let stop = stop_on_interrupt(Arc::clone(&progress))?;
+    progress.preface(&plan_lines(&plan));
+    let outcome = run(&plan, &RunContext::new(progress.as_ref(), &stop))?;
+    if !arguments.talk.quiet {
         print(&result_lines(&outcome))?;
     }
     Ok(outcome.status.into())
@@ -32,12 +34,13 @@ pub(super) fn run_study(arguments: RunArguments) -> anyhow::Result<Exit> {
 
 /// Runs a cohort and prints what became of each patient.
 pub(super) fn run_cohort(arguments: CohortArguments) -> anyhow::Result<Exit> {
-    let CohortArguments { file, output, threads, shard, quiet } = arguments;
+    let CohortArguments { file, output, threads, shard, talk } = arguments;
     let cohort = Cohort::new(&Config::read(&file, Overrides { output, ..Overrides::default() })?)?;
     use_threads(threads)?;
-    let stop = stop_on_interrupt()?;
-    let outcome = cohort.run(shard, &RunContext::new(&TerminalProgress::new(quiet), &stop))?;
-    if !quiet {
+    let progress = Arc::new(TerminalProgress::new(talk));
+    let stop = stop_on_interrupt(Arc::clone(&progress))?;
+    let outcome = cohort.run(shard, &RunContext::new(progress.as_ref(), &stop))?;
+    if !talk.quiet {
         print(&result_lines(&outcome))?;
     }
     Ok(outcome.status.into())
@@ -50,7 +53,7 @@ pub(super) fn merge_parts(arguments: StudyArguments) -> anyhow::Result<Exit> {
     let outcome = if Cohort::is_one(&config) {
         Cohort::new(&config)?.merge()?
     } else {
-        merge(&Plan::new(&config)?, &RunContext::new(&TerminalProgress::new(false), &AtomicBool::new(false)))?
+        merge(&Plan::new(&config)?, &RunContext::new(&TerminalProgress::new(TalkArguments::default()), &AtomicBool::new(false)))?
     };
     print(&result_lines(&outcome))?;
     Ok(outcome.status.into())
@@ -68,14 +71,14 @@ fn result_lines(outcome: &Outcome) -> String {
 }
 
 /// A flag that Ctrl-C sets; a second Ctrl-C ends the program at once.
-fn stop_on_interrupt() -> anyhow::Result<Arc<AtomicBool>> {
+fn stop_on_interrupt(progress: Arc<TerminalProgress>) -> anyhow::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let pressed = Arc::clone(&stop);
     ctrlc::set_handler(move || {
         if pressed.swap(true, Ordering::Relaxed) {
             std::process::exit(130);
         }
-        say("stopping at the next step; what was found is written (Ctrl-C again ends at once)");
+        progress.note("stopping at the next step; what was found is written (Ctrl-C again ends at once)");
     })
     .context("cannot listen for Ctrl-C")?;
     Ok(stop)

@@ -1,0 +1,162 @@
+//! What the codes of a label map mean, and which frame of a cine it was drawn on, read off the voxels.
+
+use super::files::DrawnCodes;
+use crate::image::{CineSequence, HeartCodes, LabelMap, Volume};
+
+/// A code with fewer voxels than this share of all that is drawn is a speck.
+const SPECK: f64 = 0.005;
+
+/// A right ventricle is at least this large beside the left one.
+const RIGHT_TO_LEFT: f64 = 0.1;
+
+/// What the codes seem to mean: of all, the one that touches the background least, for its size, is the left ventricle's blood; the one that it
+/// touches most is its wall; a third one, if it touches that wall, is the right ventricle's blood. None for empty labels.
+pub(super) fn codes_of(map: &LabelMap) -> Option<DrawnCodes> {
+    let drawn = map.labels().iter().filter(|&&code| code != 0).count();
+    let codes: Vec<u8> = (1..=u8::MAX).filter(|&code| map.count(code) as f64 > SPECK * drawn as f64 && drawn > 0).collect();
+    let touching = faces(map);
+    let between = |a: u8, b: u8| touching[usize::from(a) * 256 + usize::from(b)] as f64;
+    let open = |code: &u8| between(*code, 0) / (1..=u8::MAX).chain([0]).map(|other| between(*code, other)).sum::<f64>().max(1.0);
+    let cavity_lv = codes.iter().copied().min_by(|a, b| open(a).total_cmp(&open(b)))?;
+    let others = || codes.iter().copied().filter(|&code| code != cavity_lv);
+    let Some(wall_lv) = others().max_by(|&a, &b| between(cavity_lv, a).total_cmp(&between(cavity_lv, b))) else {
+        return Some(DrawnCodes::Blood(cavity_lv));
+    };
+    let is_right = |code: &u8| {
+        *code != wall_lv && between(*code, wall_lv) > 0.0 && map.count(*code) as f64 > RIGHT_TO_LEFT * map.count(cavity_lv) as f64
+    };
+    let cavity_rv = others().filter(is_right).max_by_key(|&code| map.count(code));
+    Some(DrawnCodes::Heart(HeartCodes { cavity_lv, wall_lv, cavity_rv, wall_rv: None }))
+}
+
+/// Faces between voxels of two codes within the slices, at 256 a + b and at 256 b + a.
+fn faces(map: &LabelMap) -> Vec<u32> {
+    let [ni, nj, nk] = map.grid().shape();
+    let mut touching = vec![0_u32; 256 * 256];
+    let mut touch = |a: u8, b: u8| {
+        if a != b {
+            touching[usize::from(a) * 256 + usize::from(b)] += 1;
+            touching[usize::from(b) * 256 + usize::from(a)] += 1;
+        }
+    };
+    for k in 0..nk {
+        for j in 0..nj {
+            for i in 0..ni {
+                let own = map.at([i, j, k]);
+                if i + 1 < ni {
+                    touch(own, map.at([i + 1, j, k]));
+                }
+                if j + 1 < nj {
+                    touch(own, map.at([i, j + 1, k]));
+                }
+            }
+        }
+    }
+    touching
+}
+
+/// The frame on which the blood (voxels of `code`; any but 0 where none) differs most from what is just around it in the slice, in standard
+/// deviations: outlines fit the frame that they were drawn on. None where labels and images do not lie in one place.
+pub(super) fn best_frame(cine: &CineSequence, labels: &LabelMap, code: Option<u8>) -> Option<usize> {
+    let (inside, around) = (voxels_of(cine, labels, code, false), voxels_of(cine, labels, code, true));
+    let contrast = |frame: &Volume| {
+        let [(mean_in, variance_in), (mean_out, variance_out)] = [&inside, &around].map(|voxels| moments(frame, voxels));
+        (mean_in - mean_out) / (variance_in + variance_out).max(f64::MIN_POSITIVE).sqrt()
+    };
+    if inside.is_empty() || around.is_empty() {
+        return None;
+    }
+    let contrasts = cine.frames().iter().map(contrast).enumerate().filter(|(_, contrast)| contrast.is_finite());
+    contrasts.max_by(|(_, a), (_, b)| a.total_cmp(b)).map(|(frame, _)| frame)
+}
+
+/// Voxels of the cine at labelled blood, or at the ring of two voxels around it in each slice.
+fn voxels_of(cine: &CineSequence, labels: &LabelMap, code: Option<u8>, is_ring: bool) -> Vec<[usize; 3]> {
+    const RING: usize = 2;
+    let [ni, nj, nk] = labels.grid().shape();
+    let is_blood = |voxel: [usize; 3]| code.map_or(labels.at(voxel) != 0, |code| labels.at(voxel) == code);
+    let near = |n: usize, count: usize| n.saturating_sub(RING)..(n + RING + 1).min(count);
+    let mut found = Vec::new();
+    for voxel in (0..nk).flat_map(|k| (0..nj).flat_map(move |j| (0..ni).map(move |i| [i, j, k]))) {
+        let [i, j, k] = voxel;
+        let wanted = match (is_blood(voxel), is_ring) {
+            (is_blood, false) => is_blood,
+            (true, true) => false,
+            (false, true) => near(i, ni).any(|i| is_blood([i, j, k])) || near(j, nj).any(|j| is_blood([i, j, k])),
+        };
+        if wanted {
+            let world_mm = labels.grid().to_world_mm(&nalgebra::Vector3::new(i as f64, j as f64, k as f64));
+            let place = cine.grid().to_voxel(&world_mm).map(f64::round);
+            let is_within = (0..3).all(|axis| (0.0..cine.grid().shape()[axis] as f64).contains(&place[axis]));
+            found.extend(is_within.then(|| [place.x as usize, place.y as usize, place.z as usize]));
+        }
+    }
+    found
+}
+
+/// Mean and variance of an image at some voxels.
+fn moments(frame: &Volume, voxels: &[[usize; 3]]) -> (f64, f64) {
+    let values = || voxels.iter().map(|&voxel| f64::from(frame.at(voxel)));
+    let count = voxels.len() as f64;
+    let mean = values().sum::<f64>() / count;
+    (mean, values().map(|value| (value - mean).powi(2)).sum::<f64>() / count)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::image::Grid;
+
+    fn grid() -> Grid {
+        Grid::axis_aligned([40, 30, 4], Vector3::new(-3.0, 8.0, 1.0), Vector3::new(1.5, 1.5, 8.0)).unwrap()
+    }
+
+    /// Rings of a left ventricle of inner radius `radius`, with a right one beside, in these codes.
+    fn heart(radius: f64, blood: u8, wall: u8, right: u8) -> LabelMap {
+        let code = |flat| {
+            let [i, j, _] = grid().voxel_of(flat);
+            let (x, y) = (i as f64 - 14.0, j as f64 - 15.0);
+            match x.hypot(y) {
+                r if r < radius => blood,
+                r if r < 10.0 => wall,
+                _ if (x - 12.0).hypot(y) < 8.0 => right,
+                _ => 0,
+            }
+        };
+        LabelMap::new(grid(), (0..grid().voxel_count()).map(code).collect()).unwrap()
+    }
+
+    #[test]
+    fn codes_are_told_by_who_touches_whom_whatever_their_numbers() {
+        let with_right = |codes: [u8; 3]| codes_of(&heart(6.0, codes[0], codes[1], codes[2]));
+        for [cavity_lv, wall_lv, right] in [[1, 2, 3], [3, 2, 1], [40, 200, 7]] {
+            let expected = HeartCodes { cavity_lv, wall_lv, cavity_rv: Some(right), wall_rv: None };
+            assert_eq!(with_right([cavity_lv, wall_lv, right]), Some(DrawnCodes::Heart(expected)));
+        }
+        assert_eq!(codes_of(&heart(6.0, 1, 2, 0)), Some(DrawnCodes::Heart(HeartCodes::left(1, 2))));
+        assert_eq!(codes_of(&heart(6.0, 5, 0, 0)), Some(DrawnCodes::Blood(5)));
+        assert_eq!(codes_of(&heart(6.0, 0, 0, 0)), None);
+    }
+
+    #[test]
+    fn outlines_are_given_back_to_the_frame_that_they_were_drawn_on() {
+        let radii = [8.0, 7.0, 6.0, 5.0, 6.5, 7.5];
+        let image = |radius: f64| {
+            let brightness = |(n, &code): (usize, &u8)| match code {
+                1 => 200.0 + (n % 7) as f32,
+                2 => 80.0 + (n % 5) as f32,
+                _ => 40.0 + (n % 3) as f32,
+            };
+            Volume::new(grid(), heart(radius, 1, 2, 0).labels().iter().enumerate().map(brightness).collect()).unwrap()
+        };
+        let times_s = (0..radii.len()).map(|n| 0.1 * n as f64).collect();
+        let cine = CineSequence::new(radii.map(image).to_vec(), times_s, 0.6).unwrap();
+        for (frame, radius) in radii.into_iter().enumerate() {
+            assert_eq!(best_frame(&cine, &heart(radius, 1, 2, 0), Some(1)), Some(frame));
+        }
+        let elsewhere = Grid::axis_aligned([4, 4, 2], Vector3::repeat(900.0), Vector3::repeat(1.0)).unwrap();
+        assert_eq!(best_frame(&cine, &LabelMap::new(elsewhere, vec![1; 32]).unwrap(), Some(1)), None);
+    }
+}
