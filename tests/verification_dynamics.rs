@@ -4,7 +4,9 @@
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-use cardiotwin::mechanics::{MotionState, Myocardium, PassiveProperties, StepOperator, StepSolver, TimeScheme};
+use cardiotwin::mechanics::{
+    ExplicitSpring, MotionState, Myocardium, PassiveProperties, StepOperator, StepSolver, TimeScheme, explicit_spring_limit,
+};
 use nalgebra::{DMatrix, Matrix3, Rotation3, Vector3};
 
 mod meshes;
@@ -255,5 +257,53 @@ fn pericardial_dashpots_slow_the_heart_by_area_times_damping() {
         state = operator.advance(&state, position_mm);
         let exact = 100.0 / factor.powi(step);
         assert!((speed(&state) / exact - 1.0).abs() < 1e-5, "step {step}: {} against {exact} mm/s", speed(&state));
+    }
+}
+
+/// The bound of explicit image forces, against the gain at which a stepped piece of tissue is seen to break: springs of all sizes on a
+/// face, with mass and stiffness damping, in small steps, where masses decide, and in large ones, where stiffness does.
+#[test]
+fn explicit_springs_break_at_the_bound_of_their_gain() {
+    let damped = PassiveProperties { damping_mass_per_s: 10.0, damping_stiffness_s: 0.01, ..SPRUNG };
+    let tissue = tissue(&damped);
+    let on_a_face = (0..tissue.vertex_count()).filter(|&vertex| tissue.rest_mm()[vertex].z < 1e-9);
+    let springs: Vec<ExplicitSpring> = on_a_face
+        .enumerate()
+        .map(|(number, vertex)| ExplicitSpring {
+            vertex,
+            direction: Vector3::new(0.3 * (number as f64).sin(), 0.2, -1.0).normalize(),
+            stiffness_mn_per_mm: 1.0 + 0.4 * (1.7 * number as f64).cos(),
+        })
+        .collect();
+    for step_s in [2e-4, 1e-3, 5e-3] {
+        let limit = explicit_spring_limit(&tissue, step_s, &springs).unwrap();
+        let operator = StepOperator::new(Arc::clone(&tissue), step_s).unwrap();
+        // How an error has grown over the second half of many steps.
+        let growth = |factor: f64| {
+            let mut system = operator.empty_system();
+            let mut solver = StepSolver::default();
+            let mut position_mm = tissue.rest_mm().to_vec();
+            springs.iter().for_each(|spring| position_mm[spring.vertex] += spring.direction * 1e-3);
+            let mut state = MotionState::at_rest(position_mm);
+            let mut sizes_mm = Vec::new();
+            for _ in 0..1200 {
+                operator.assemble(&state, None, &mut system).unwrap();
+                for spring in &springs {
+                    let error_mm = spring.direction.dot(&(state.position_mm[spring.vertex] - tissue.rest_mm()[spring.vertex]));
+                    system.force_mn[spring.vertex] -= spring.direction * (error_mm * factor * spring.stiffness_mn_per_mm);
+                }
+                let mut next_mm = state.position_mm.clone();
+                solver.solve(&operator, &system, &mut next_mm, &mut []).unwrap();
+                state = operator.advance(&state, next_mm);
+                let size = state.position_mm.iter().zip(tissue.rest_mm()).map(|(y, x)| (y - x).norm()).fold(0.0, f64::max);
+                sizes_mm.push(size);
+                if size > 1e6 {
+                    break;
+                }
+            }
+            sizes_mm[sizes_mm.len() - 1] / sizes_mm[sizes_mm.len() / 2]
+        };
+        assert!(growth(0.98 * limit) < 1.0, "h = {step_s} s: springs below the bound {limit} are unstable");
+        assert!(growth(1.04 * limit) > 1.0, "h = {step_s} s: springs beyond the bound {limit} are stable: {}", growth(1.04 * limit));
     }
 }

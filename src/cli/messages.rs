@@ -141,10 +141,10 @@ pub(super) fn parameter_table() -> String {
         String::from("# Parameters\n\nEach is a key of its table in a study file, and has this name in results and on the command line.\n");
     for section in [Section::Electrophysiology, Section::Mechanics, Section::Circulation, Section::Tracking] {
         let _ = writeln!(text, "\n## [{}]\n", section.key());
-        let head = ["name", "unit", "default", "range", "meaning", "source"].map(str::to_string);
+        let head = ["name", "symbol", "unit", "default", "range", "meaning", "source"].map(str::to_string);
         let specs = Parameter::ALL.iter().map(|parameter| parameter.spec()).filter(|spec| spec.section == section);
         let rows: Vec<_> = std::iter::once(head).chain(specs.map(cells)).collect();
-        let widths: [usize; 6] = std::array::from_fn(|column| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0));
+        let widths: [usize; 7] = std::array::from_fn(|column| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0));
         for (number, row) in rows.iter().enumerate() {
             let padded = row.iter().zip(widths).map(|(cell, width)| format!(" {cell:<width$} |")).collect::<String>();
             let _ = writeln!(text, "|{padded}");
@@ -156,9 +156,9 @@ pub(super) fn parameter_table() -> String {
     text
 }
 
-fn cells(spec: &ParameterSpec) -> [String; 6] {
+fn cells(spec: &ParameterSpec) -> [String; 7] {
     let range = format!("{} to {}", number(spec.lower), number(spec.upper));
-    [format!("`{}`", spec.name), spec.unit.into(), number(spec.default), range, spec.meaning.into(), spec.source.into()]
+    [format!("`{}`", spec.name), spec.symbol.into(), spec.unit.into(), number(spec.default), range, spec.meaning.into(), spec.source.into()]
 }
 
 /// Small and large numbers with an exponent.

@@ -72,6 +72,16 @@ impl BeatDeformation {
         Some(PeakStrain { strain: Strain { circumferential, longitudinal, radial }, circumferential_time_s })
     }
 
+    /// Mechanical dispersion, s: the standard deviation over the AHA segments 1 to 16 of the time at which each is shortest around the
+    /// cavity, \[Haugaa2010\] (who take the strain along it). It resolves what the frames do. `None` for fewer than two segments.
+    pub fn mechanical_dispersion_s(&self) -> Option<f64> {
+        let times_s: Vec<f64> = (1..=16).filter_map(|segment| Some(self.peak_strain(segment)?.circumferential_time_s)).collect();
+        let count = times_s.len() as f64;
+        let mean_s = times_s.iter().sum::<f64>() / count;
+        let sum_s2: f64 = times_s.iter().map(|time_s| (time_s - mean_s).powi(2)).sum();
+        (times_s.len() > 1).then(|| (sum_s2 / (count - 1.0)).sqrt())
+    }
+
     /// Strains of an AHA segment, a frame each; empty if the anatomy does not have it.
     pub fn strains_of(&self, segment: u8) -> Vec<Strain> {
         let of = |frame: &Deformation| frame.segments.iter().find(|s| s.segment == segment).map(|s| s.strain);
@@ -148,6 +158,21 @@ mod tests {
             assert!((peak.strain.circumferential + 0.2).abs() < 5e-3, "{peak:?}");
             assert!((peak.circumferential_time_s - 0.4).abs() < 1e-9, "{peak:?}");
         }
+        assert!(beat.mechanical_dispersion_s().unwrap() < 1e-12, "all segments are shortest at once");
+    }
+
+    /// The wall narrows along x first and along y 0.2 s later: half of the segments at 0.3 s, half at 0.5 s, or nearly so.
+    #[test]
+    fn walls_that_are_shortest_at_two_times_are_dispersed_by_half_of_what_lies_between() {
+        let (anatomy, mut frames, curves) = beat();
+        let narrow = |time_s: f64, at_s: f64| 1.0 - 0.2 * (1.0 - ((time_s - at_s) / 0.3).abs()).max(0.0);
+        for frame in &mut frames {
+            let (x, y) = (narrow(frame.time_s, 0.3), narrow(frame.time_s, 0.5));
+            frame.position_mm = anatomy.mesh.vertices_mm().iter().map(|p| Vector3::new(p.x * x, p.y * y, p.z)).collect();
+        }
+        let beat = BeatDeformation::of_beat(&anatomy, &frames, &curves, 0.0, 0.8).unwrap();
+        let dispersion_s = beat.mechanical_dispersion_s().unwrap();
+        assert!((0.06..0.11).contains(&dispersion_s), "{dispersion_s}");
     }
 
     #[test]

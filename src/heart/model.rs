@@ -152,6 +152,11 @@ impl HeartModel {
         &self.anatomy
     }
 
+    /// The tissue at rest.
+    pub fn tissue(&self) -> &Arc<Myocardium> {
+        self.operator.myocardium()
+    }
+
     /// The parameters.
     pub fn parameters(&self) -> &Parameters {
         &self.parameters

@@ -13,6 +13,8 @@ use super::{ReportError, write_atomically};
 pub struct ParameterRow {
     /// Name with its unit.
     pub parameter: String,
+    /// Symbol in the equations.
+    pub symbol: &'static str,
     /// Unit.
     pub unit: String,
     /// Region it holds for; `heart` for the whole.
@@ -129,6 +131,9 @@ pub struct FoundParameter {
     pub interval_low: Option<f64>,
     /// Upper end of the 95 % interval.
     pub interval_high: Option<f64>,
+    /// `fixed` if the study did not seek it.
+    #[serde(default)]
+    pub state: String,
 }
 
 /// Reads the `parameters.csv` that an earlier run left.
@@ -166,6 +171,7 @@ mod tests {
         let file = folder.path().join("parameters.csv");
         let row = ParameterRow {
             parameter: "contraction_peak_lv_kpa".into(),
+            symbol: "σ0_LV",
             unit: "kPa".into(),
             region: "heart".into(),
             initial: 90.0,
@@ -186,8 +192,8 @@ mod tests {
         assert_eq!((found.value, found.interval_low, found.interval_high), (101.5, Some(96.6), None));
         assert_eq!(
             std::fs::read_to_string(&file).unwrap(),
-            "parameter,unit,region,initial,value,lower,upper,sd,interval_low,interval_high,at_bound,state,prior_mean,prior_sd\n\
-             contraction_peak_lv_kpa,kPa,heart,90.0,101.5,30.0,200.0,2.5,96.6,,false,free,,\n"
+            "parameter,symbol,unit,region,initial,value,lower,upper,sd,interval_low,interval_high,at_bound,state,prior_mean,prior_sd\n\
+             contraction_peak_lv_kpa,σ0_LV,kPa,heart,90.0,101.5,30.0,200.0,2.5,96.6,,false,free,,\n"
         );
     }
 

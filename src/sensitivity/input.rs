@@ -1,7 +1,7 @@
 //! The range over which a parameter of the heart is screened, as a map from the unit interval.
 
 use super::SensitivityError;
-use crate::heart::{OutOfRange, Parameter, Parameters};
+use crate::heart::{OutOfRange, Parameters, RegionalParameter};
 
 /// How a range is walked through.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -12,10 +12,10 @@ pub enum Spacing {
     Logarithmic,
 }
 
-/// One parameter and its range.
+/// One parameter, of the whole heart or a part of it, and its range.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScreeningInput {
-    parameter: Parameter,
+    parameter: RegionalParameter,
     lower: f64,
     upper: f64,
     spacing: Spacing,
@@ -26,8 +26,9 @@ impl ScreeningInput {
     ///
     /// # Errors
     /// [`SensitivityError::Setting`] if the range does not ascend, leaves the physical range, or is not positive where it is walked in ratios.
-    pub fn new(parameter: Parameter, lower: f64, upper: f64, spacing: Spacing) -> Result<Self, SensitivityError> {
-        let spec = parameter.spec();
+    pub fn new(parameter: impl Into<RegionalParameter>, lower: f64, upper: f64, spacing: Spacing) -> Result<Self, SensitivityError> {
+        let parameter = parameter.into();
+        let spec = parameter.parameter().spec();
         let refuse = |value, remedy| Err(SensitivityError::Setting { what: spec.name, value, remedy });
         if !(lower < upper && lower >= spec.lower && upper <= spec.upper) {
             return refuse(lower, "the range must ascend and stay within the physical range");
@@ -38,8 +39,8 @@ impl ScreeningInput {
         Ok(Self { parameter, lower, upper, spacing })
     }
 
-    /// Which parameter.
-    pub fn parameter(&self) -> Parameter {
+    /// Which parameter, and where.
+    pub fn parameter(&self) -> RegionalParameter {
         self.parameter
     }
 
@@ -73,6 +74,7 @@ pub fn to_parameters(base: &Parameters, inputs: &[ScreeningInput], places: &[f64
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::heart::{Parameter, Part};
 
     #[test]
     fn ends_and_middle_of_a_range() {
@@ -84,6 +86,16 @@ mod tests {
         assert_eq!((peak.value(0.0), peak.value(1.0)), (50.0, 200.0));
         assert!((peak.place(100.0).unwrap() - 0.5).abs() < 1e-12 && (onset.place(0.0).unwrap() - 0.25).abs() < 1e-12);
         assert_eq!((peak.place(49.0), onset.place(f64::NAN)), (None, None));
+    }
+
+    #[test]
+    fn an_input_of_a_part_moves_that_part_alone() {
+        let [moved, other] = ["segment_7", "segment_8"]
+            .map(|name| RegionalParameter::new(Parameter::ContractionPeakLv, Part::from_name(name).unwrap()).unwrap());
+        let input = ScreeningInput::new(moved, 20.0, 60.0, Spacing::Linear).unwrap();
+        let parameters = to_parameters(&Parameters::default(), &[input], &[0.25]).unwrap();
+        let default = Parameters::default()[Parameter::ContractionPeakLv];
+        assert_eq!((parameters[moved], parameters[other], parameters[Parameter::ContractionPeakLv]), (30.0, default, default));
     }
 
     #[test]

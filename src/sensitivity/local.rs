@@ -30,7 +30,7 @@ impl LocalDesign {
         for (input, &value) in inputs.iter().zip(base) {
             match input.place(value) {
                 Some(place) => centre.push(place),
-                None => return refuse(input.parameter().spec().name, value, "the study's value must lie in the input's range"),
+                None => return refuse(input.parameter().parameter().spec().name, value, "the study's value must lie in the input's range"),
             }
         }
         let mut points = vec![centre.clone()];

@@ -1,5 +1,7 @@
 //! The figures that a run of a beat gives, by the names under which its files have them: what a sensitivity study may ask for.
 
+use crate::heart::Parameter;
+
 /// Figures of every beat, as `summary.json` names them.
 pub(super) const BEAT_FIGURES: &[&str] = &[
     "ejection_fraction_lv",
@@ -68,6 +70,9 @@ pub(super) const TRACKING_FIGURES: &[&str] = &[
 /// Figures of a tracked phantom beside its truth.
 pub(super) const TRUTH_FIGURES: &[&str] = &["tracking_rmse_mm", "tracking_rmse_greatest_mm", "tracking_volume_rms_lv_ml"];
 
+/// What the names of parameters found in every run begin with; see `[personalisation]`.
+pub(super) const RECOVERED: &str = "recovered_";
+
 /// The figure of a segment that a name stands for.
 pub(super) fn segment_figure(name: &str) -> Option<(u8, &'static str)> {
     let (segment, figure) = name.strip_prefix("segment_")?.split_once('_')?;
@@ -89,6 +94,9 @@ pub(super) fn unit_of(name: &str) -> &'static str {
         ("_deg", "°"),
         ("_s", "s"),
     ];
+    if let Some(parameter) = name.strip_prefix(RECOVERED).and_then(Parameter::from_name) {
+        return parameter.spec().unit;
+    }
     ENDINGS.iter().find(|(ending, _)| name.ends_with(ending)).map_or("1", |(_, unit)| unit)
 }
 

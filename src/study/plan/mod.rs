@@ -10,6 +10,7 @@ mod model;
 mod output;
 mod personalisation;
 mod phantom;
+mod prediction;
 mod sensitivity;
 mod tracking;
 
@@ -26,6 +27,7 @@ pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite, SitePlan, TimeS
 pub use output::OutputPlan;
 pub use personalisation::{BoundaryData, DataPlan, FreeParameter, OrderPlan, PersonalisationPlan, Regions, Tangents, VolumeData};
 pub use phantom::{ContractionPlan, ModelAnatomy, PhantomPlan};
+pub use prediction::PredictionPlan;
 pub use sensitivity::{SensitivityMethod, SensitivityPlan};
 pub use tracking::{BaseMode, GainChoice, TrackingPlan};
 
@@ -104,6 +106,10 @@ pub struct Plan {
     pub personalisation: Option<PersonalisationPlan>,
     /// Which parameters are moved; none unless the kind is [`Kind::Sensitivity`].
     pub sensitivity: Option<SensitivityPlan>,
+    /// Onsets that the heart is run with besides its own, with the parameters found or `parameters_from`.
+    pub predictions: Vec<PredictionPlan>,
+    /// `parameters_from`: the `parameters.csv` of an earlier personalisation, whose findings stand in `parameters`.
+    pub parameters_from: Option<PathBuf>,
     /// Where results go.
     pub output: OutputPlan,
     /// What was asked for, for the record.
@@ -143,6 +149,7 @@ impl Plan {
             files.extend(images.validation.iter().map(|labels| labels.path.clone()));
         }
         files.extend(self.tracking.base_motion.clone());
+        files.extend(self.parameters_from.clone());
         files
     }
 }
@@ -171,6 +178,8 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
     circulation.parameters(Section::Circulation, &mut parameters, &mut written);
     circulation.close();
     let tracking = tracking::read(root.table("tracking"), &mut parameters, &mut written);
+    let parameters_from = prediction::read_found(&root, &mut parameters, &mut written);
+    let predictions = prediction::read(&root);
     let comparison = comparison::read(root.table("comparison"));
     let personalisation = personalisation::read(root.table("personalisation"), &parameters);
     let sensitivity = sensitivity::read(config, root.table("sensitivity"), &parameters);
@@ -181,7 +190,7 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
         check_tolerances(&root, phantom, personalisation.as_ref());
     }
     if let Some(sensitivity) = &sensitivity {
-        sensitivity::check(&root, sensitivity, images.as_ref());
+        sensitivity::check(&root, sensitivity, images.as_ref(), personalisation.as_ref());
     }
     if let Some(wanted) = &personalisation {
         check_truth(&root, images.as_ref(), &wanted.data);
@@ -197,11 +206,13 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
     if comparison.is_some() && kind != Some(Kind::CompareSchemes) {
         root.problem("comparison", "is of no use here", "write kind = \"compare_schemes\", or take the table away");
     }
+    let finds_in_runs = sensitivity.as_ref().is_some_and(SensitivityPlan::finds_parameters);
     match (kind, &personalisation) {
         (Some(Kind::Personalise | Kind::CompareSolvers), None) => {
             root.missing("personalisation", "[personalisation] with a [[personalisation.parameter]] for each free parameter")
         }
-        (Some(kind), Some(_)) if !kind.finds_parameters() => {
+        // What was found is used here, and the study that found it may stand as it is.
+        (Some(kind), Some(_)) if !kind.finds_parameters() && !finds_in_runs && parameters_from.is_none() => {
             root.problem("personalisation", "is of no use here", "write kind = \"personalise\", or take the table away")
         }
         _ => {}
@@ -214,6 +225,9 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
             root.problem("sensitivity", "is of no use here", "write kind = \"sensitivity\", or take the table away")
         }
         _ => {}
+    }
+    if !predictions.is_empty() && !matches!(kind, Some(Kind::Simulate | Kind::Personalise)) {
+        root.problem("prediction", "is of no use here", "write kind = \"simulate\" or \"personalise\", or take it away");
     }
     root.close();
     Some(Plan {
@@ -228,6 +242,8 @@ fn read(config: &Config, reader: &Reader) -> Option<Plan> {
         comparison,
         personalisation,
         sensitivity,
+        predictions,
+        parameters_from,
         output,
         provenance: Provenance::new(config),
     })

@@ -111,12 +111,18 @@ fn read_time_scheme(mechanics: &TableReader) -> TimeScheme {
 
 fn read_onset(table: TableReader, parameters: &mut Parameters, written: &mut BTreeSet<RegionalParameter>) -> OnsetPlan {
     table.parameters(Section::Electrophysiology, parameters, written);
+    let onset = read_onset_sites(&table);
+    table.close();
+    onset
+}
+
+/// `onset` and `[[site]]` of a table.
+pub(super) fn read_onset_sites(table: &TableReader) -> OnsetPlan {
     let place = table.choice("onset", OnsetSite::Normal);
     let sites: Vec<_> = table.tables("site").into_iter().map(read_site).collect();
     if place == OnsetSite::Sites && sites.iter().all(|site| site.beat.is_some()) {
-        table.missing("site", "[[electrophysiology.site]] with its position_mm, and without `beat`: it starts every beat");
+        table.missing("site", "a site with its position_mm, and without `beat`: it starts every beat");
     }
-    table.close();
     OnsetPlan { place, sites }
 }
 

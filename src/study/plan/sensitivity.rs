@@ -1,12 +1,13 @@
 //! `[sensitivity]`: which inputs are moved, over which ranges, by which design, and which figures of the beat are looked at.
 
 use super::images::ImageSource;
+use super::personalisation::{FreeParameter, PersonalisationPlan, Regions};
 use super::phantom::ModelAnatomy;
 use super::words;
-use crate::heart::{Parameter, Parameters};
+use crate::heart::{Parameter, Parameters, Part, RegionalParameter};
 use crate::sensitivity::{Design, LocalDesign, MorrisDesign, ScreeningInput, SensitivityError, SobolDesign, Spacing};
 use crate::study::Config;
-use crate::study::figure::{BEAT_FIGURES, TRACKING_FIGURES, TRUTH_FIGURES, segment_figure};
+use crate::study::figure::{BEAT_FIGURES, RECOVERED, TRACKING_FIGURES, TRUTH_FIGURES, segment_figure};
 use crate::study::identity::document_hash;
 use crate::study::reader::{Choice, TableReader};
 use crate::study::shard::Shard;
@@ -20,6 +21,13 @@ words! {
         Morris = "morris",
         /// All at once, for shares of variance.
         Sobol = "sobol",
+    }
+}
+
+impl SensitivityPlan {
+    /// Whether parameters are found in every run.
+    pub fn finds_parameters(&self) -> bool {
+        self.outputs.iter().any(|name| name.starts_with(RECOVERED))
     }
 }
 
@@ -63,7 +71,7 @@ pub(super) fn read(config: &Config, table: TableReader, parameters: &Parameters)
     }
     for (number, input) in inputs.iter().enumerate() {
         if inputs[..number].iter().any(|other| other.parameter() == input.parameter()) {
-            table.problem("input", format!("has {} twice", input.parameter().spec().name), "take one of the two away");
+            table.problem("input", format!("has {} twice", input.parameter().name()), "take one of the two away");
         }
     }
     check_outputs(&table, &outputs);
@@ -99,12 +107,29 @@ fn read_input(table: TableReader) -> Option<ScreeningInput> {
         table.missing(key, "an end of the range over which the parameter is moved");
     }
     let spacing = table.choice("spacing", Spacing::Linear);
-    let input = known.zip(lower.zip(upper)).map(|(parameter, (lower, upper))| ScreeningInput::new(parameter, lower, upper, spacing));
+    let place = known.and_then(|parameter| read_place(&table, parameter));
+    let input = place.zip(lower.zip(upper)).map(|(place, (lower, upper))| ScreeningInput::new(place, lower, upper, spacing));
     if let Some(Err(error)) = &input {
         table.problem("lower", "makes no range", error.to_string());
     }
     table.close();
     input?.ok()
+}
+
+/// The parameter in the `part` named, in the whole heart where none is.
+fn read_place(table: &TableReader, parameter: Parameter) -> Option<RegionalParameter> {
+    let Some(name) = table.text("part") else { return Some(parameter.into()) };
+    let place = Part::from_name(name).and_then(|part| RegionalParameter::new(parameter, part));
+    if place.is_none() {
+        let parts: Vec<_> = RegionalParameter::parts_of(parameter).into_iter().map(Part::name).collect();
+        let remedy = if parts.is_empty() {
+            "take it away: the parameter has one value".into()
+        } else {
+            format!("choose one of {}", parts.join(", "))
+        };
+        table.problem("part", format!("is no part in which {} has a value of its own", parameter.spec().name), remedy);
+    }
+    place
 }
 
 fn check_outputs(table: &TableReader, outputs: &[String]) {
@@ -113,7 +138,7 @@ fn check_outputs(table: &TableReader, outputs: &[String]) {
     }
     let plain = || [BEAT_FIGURES, TRACKING_FIGURES, TRUTH_FIGURES].into_iter().flatten();
     for (number, name) in outputs.iter().enumerate() {
-        if segment_figure(name).is_none() && !plain().any(|known| known == name) {
+        if segment_figure(name).is_none() && !name.starts_with(RECOVERED) && !plain().any(|known| known == name) {
             let near = plain().min_by_key(|known| strsim::damerau_levenshtein(name, known)).map_or("", |near| near);
             let remedy = format!("did you mean \"{near}\"? all names are in docs/many_runs.md");
             table.problem("outputs", format!("has \"{name}\", which is no figure of a beat"), remedy);
@@ -125,7 +150,19 @@ fn check_outputs(table: &TableReader, outputs: &[String]) {
 }
 
 /// What the study as a whole must have for its inputs and outputs.
-pub(super) fn check(root: &TableReader, plan: &SensitivityPlan, images: Option<&ImageSource>) {
+pub(super) fn check(
+    root: &TableReader,
+    plan: &SensitivityPlan,
+    images: Option<&ImageSource>,
+    personalisation: Option<&PersonalisationPlan>,
+) {
+    for name in plan.outputs.iter().filter_map(|name| name.strip_prefix(RECOVERED)) {
+        let is_free = |free: &FreeParameter| free.parameter.spec().name == name && free.regions == Regions::Whole && !free.fixed;
+        if images.is_none() || !personalisation.is_some_and(|wanted| wanted.parameters.iter().any(is_free)) {
+            let remedy = "write images and [personalisation] with that parameter free, in the whole heart";
+            root.problem("sensitivity.outputs", format!("has \"{RECOVERED}{name}\", which nothing here finds"), remedy);
+        }
+    }
     let asks = |names: &[&str]| plan.outputs.iter().find(|name| names.contains(&name.as_str()));
     if let (Some(name), None) = (asks(TRACKING_FIGURES).or(asks(TRUTH_FIGURES)), images) {
         let what = format!("has \"{name}\", which needs images to track");
@@ -136,7 +173,7 @@ pub(super) fn check(root: &TableReader, plan: &SensitivityPlan, images: Option<&
         let what = format!("has \"{name}\", which needs a truth to compare with");
         root.problem("sensitivity.outputs", what, "write [phantom] with anatomy = \"truth\", or take it away");
     }
-    if images.is_some() && plan.inputs.iter().any(|input| input.parameter() == Parameter::HeartPeriod) {
+    if images.is_some() && plan.inputs.iter().any(|input| input.parameter() == Parameter::HeartPeriod.into()) {
         root.problem("sensitivity.input", "moves heart_period_s, which the images set", "take it away");
     }
 }

@@ -238,7 +238,7 @@ fn the_same_parameter_is_not_freed_twice() {
 }
 
 /// A study with every table that is optional as a whole, so that their keys are asked for.
-const LISTS: &str = "[[electrophysiology.site]]\n[[electrophysiology.region]]\n[[mechanics.region]]\n[[phantom.truth.region]]\n[[images.validation]]\n[[personalisation.parameter]]\n[[personalisation.order]]\n[phantom.contraction]\n[comparison]\n[[sensitivity.input]]\n";
+const LISTS: &str = "[[electrophysiology.site]]\n[[electrophysiology.region]]\n[[mechanics.region]]\n[[phantom.truth.region]]\n[[images.validation]]\n[[personalisation.parameter]]\n[[personalisation.order]]\n[phantom.contraction]\n[comparison]\n[[sensitivity.input]]\n[[prediction]]\n[[prediction.site]]\n";
 
 #[test]
 fn every_key_is_documented_and_every_documented_key_exists() {
@@ -306,4 +306,30 @@ fn keys_of_labels_and_masks_that_contradict_each_other_are_named() {
     assert!(
         problem(&format!("{SIMULATE}[anatomy]\n").replace("[anatomy]\n", ""), &["anatomy.code_cavity_rv=3"]).contains("without labels")
     );
+}
+
+/// What was found goes before what the study writes, and what was held does not.
+#[test]
+fn parameters_of_an_earlier_run_replace_those_of_the_study() {
+    let folder = tempfile::tempdir().unwrap();
+    let table = "parameter,symbol,unit,region,initial,value,lower,upper,sd,interval_low,interval_high,at_bound,state\n\
+        contraction_peak_lv_kpa,σ0_LV,kPa,lv,90,101.5,30,200,,,,false,free\n\
+        relaxation_rate_per_s,kRS,1/s,segment_7,15,21,5,60,,,,true,upper\n\
+        fibre_stiffness_kpa,E_f,kPa,global,200,200,1,300,,,,false,fixed\n";
+    std::fs::write(folder.path().join("parameters.csv"), table).unwrap();
+    let read = |text: &str| Plan::new(&Config::from_text(&folder.path().join("study.toml"), text.into(), Overrides::default()).unwrap());
+    let study =
+        "kind = \"simulate\"\nparameters_from = \"parameters.csv\"\n[anatomy.idealised_lv]\n[mechanics]\ncontraction_peak_lv_kpa = 70\n";
+    let plan =
+        read(&format!("{study}[[prediction]]\nonset = \"lbbb\"\n[[prediction]]\nname = \"two\"\nonset = \"biventricular_pacing\"\n"))
+            .unwrap();
+    assert_eq!(plan.parameters[Parameter::ContractionPeakLv], 101.5);
+    assert_eq!(plan.parameters[Parameter::FibreStiffness], Parameters::default()[Parameter::FibreStiffness]);
+    let part = crate::heart::Part::from_name("segment_7").unwrap();
+    assert_eq!(plan.parameters[RegionalParameter::new(Parameter::RelaxationRate, part).unwrap()], 21.0);
+    assert_eq!(plan.predictions.iter().map(|one| one.name.as_str()).collect::<Vec<_>>(), ["lbbb", "two"]);
+    let told = |text: &str| format!("{:?}", read(text).unwrap_err());
+    assert!(told(&study.replace("\"parameters.csv\"", "\"none.csv\"")).contains("names no file"));
+    assert!(told(&format!("{study}[[prediction]]\n[[prediction]]\n")).contains("has \\\"normal\\\" twice"));
+    assert!(told(&format!("{study}[[prediction]]\nname = \"a/b\"\n")).contains("is no name of a file"));
 }

@@ -37,6 +37,8 @@ struct SolverRow {
     /// Simulations until the cost was within 0.1 of the best of all; empty if it never was.
     simulations_to_best: Option<f64>,
     cost: f64,
+    /// What a pass with all tangents took by the clock, in simulations; empty where the solver asks for none.
+    clocked_pass_cost: Option<f64>,
     wall_time_s: f64,
 }
 
@@ -132,6 +134,7 @@ fn row((method, one, wall_time_s): &(SearchMethod, Found, f64), start_cost: f64,
         simulations_to_nearly: until(start_cost - NEARLY * (start_cost - best_cost)),
         simulations_to_best: until(best_cost + INDISTINGUISHABLE),
         cost: calibration.evaluation.cost(),
+        clocked_pass_cost: one.clocked_pass_cost,
         wall_time_s: *wall_time_s,
     }
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use crate::anatomy::AnatomyError;
 use crate::heart::{HeartError, OutOfRange, StepError};
 use crate::image::ImageError;
+use crate::mechanics::MechanicsError;
 use crate::mesh::MeshError;
 use crate::personalisation::PersonalisationError;
 use crate::phantom::PhantomError;
@@ -41,6 +42,9 @@ pub enum RunError {
     /// The model.
     #[error("the heart cannot be put together: {0}")]
     Heart(#[from] HeartError),
+    /// The tissue.
+    #[error("the bound of the image gains cannot be found: {0}")]
+    Mechanics(#[from] MechanicsError),
     /// A step of the simulation.
     #[error("the simulation failed: {0}")]
     Step(#[from] StepError),

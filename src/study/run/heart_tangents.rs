@@ -2,6 +2,8 @@
 //! model wants that.
 
 use std::ops::ControlFlow;
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 
 use nalgebra::DVector;
 
@@ -18,7 +20,8 @@ use crate::study::plan::Tangents;
 const DIFFERENCE_STEP: f64 = 2e-3;
 /// Step of differences of depolarisation times, which are smooth.
 const ACTIVATION_STEP: f64 = 1e-5;
-/// Simulations that a pass with tangents costs, and what each parameter adds: 20 parameters in 4, 40 in 7 free beats.
+/// Simulations that a pass with tangents counts as, and what each parameter adds: 20 parameters in 4, 40 in 7 free beats. That is a convention, so
+/// that a search and its tables are the same on every machine; what passes took by the clock is reported beside it.
 const PASS_COST: f64 = 1.0;
 const PARAMETER_COST: f64 = 0.15;
 
@@ -37,6 +40,14 @@ pub(super) struct HeartTangents<'a> {
     is_stopped: Stop<'a>,
     tangents: Tangents,
     differences: Differences<'a>,
+    clocked: Mutex<Clocked>,
+}
+
+/// Seconds that simulations and passes with tangents have taken.
+#[derive(Debug, Clone, Copy, Default)]
+struct Clocked {
+    simulations: (f64, u32),
+    passes: (f64, u32),
 }
 
 impl<'a> HeartTangents<'a> {
@@ -46,7 +57,15 @@ impl<'a> HeartTangents<'a> {
         let steps = DVector::from_iterator(space.dimension(), space.free().map(difference_step));
         let differences =
             FiniteDifferenceModel::new(Box::new(simulate) as Box<_>, DifferenceScheme::Forward, steps, space.lower(), space.upper());
-        Self { base, space, clock, is_stopped, tangents, differences }
+        Self { base, space, clock, is_stopped, tangents, differences, clocked: Mutex::default() }
+    }
+
+    /// What a pass with tangents took by the clock, in simulations; none before there was one of each. The searches count what is the same in
+    /// every run, [`TangentModel::tangent_cost`].
+    pub(super) fn clocked_pass_cost(&self) -> Option<f64> {
+        let Clocked { simulations, passes } = *self.clocked.lock().unwrap_or_else(PoisonError::into_inner);
+        let mean = |(seconds, count): (f64, u32)| (count > 0).then(|| seconds / f64::from(count));
+        Some(mean(passes)? / mean(simulations)?)
     }
 
     /// The trajectory with its tangents in one pass.
@@ -90,17 +109,27 @@ impl TangentModel for HeartTangents<'_> {
     type Error = SimulationFailure;
 
     fn simulate(&self, coordinates: &DVector<f64>) -> Result<CalibrationTrajectory, SimulationFailure> {
-        self.differences.simulate(coordinates)
+        let begun = Instant::now();
+        let simulated = self.differences.simulate(coordinates);
+        if simulated.is_ok() {
+            add(&mut self.clocked.lock().unwrap_or_else(PoisonError::into_inner).simulations, begun);
+        }
+        simulated
     }
 
     fn simulate_with_tangents(&self, coordinates: &DVector<f64>) -> WithTangents<CalibrationTrajectory, SimulationFailure> {
-        match self.tangents {
+        let begun = Instant::now();
+        let passed = match self.tangents {
             Tangents::FiniteDifferences => self.differences.simulate_with_tangents(coordinates),
             Tangents::Analytic => match self.in_one_pass(coordinates) {
                 Err(SimulationFailure::Tangent(TangentError::NoTangent { .. })) => self.differences.simulate_with_tangents(coordinates),
                 other => other,
             },
+        };
+        if passed.is_ok() {
+            add(&mut self.clocked.lock().unwrap_or_else(PoisonError::into_inner).passes, begun);
         }
+        passed
     }
 
     fn tangent_cost(&self, dimension: usize) -> f64 {
@@ -109,6 +138,10 @@ impl TangentModel for HeartTangents<'_> {
             Tangents::Analytic => PASS_COST + PARAMETER_COST * dimension as f64,
         }
     }
+}
+
+fn add(to: &mut (f64, u32), begun: Instant) {
+    *to = (to.0 + begun.elapsed().as_secs_f64(), to.1 + 1);
 }
 
 /// A step that is relative in a logarithm, and a small part of the bounds otherwise.

@@ -26,6 +26,7 @@ mod personal_tables;
 mod personalise;
 mod phantom;
 mod pictures;
+mod prediction;
 mod recorded_base;
 mod recovery;
 mod search;

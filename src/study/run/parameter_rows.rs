@@ -38,6 +38,7 @@ fn estimated(one: ParameterEstimate, entry: &FreeParameter) -> ParameterRow {
     let has_prior = entry.prior_sd.is_finite() && state != "fixed";
     ParameterRow {
         parameter: one.parameter.into(),
+        symbol: entry.parameter.parameter().spec().symbol,
         unit: one.unit.into(),
         region: one.region,
         initial: one.initial,
@@ -60,6 +61,7 @@ fn held(regional: RegionalParameter, value: f64) -> ParameterRow {
     let region = if regional.part() == Part::Whole { FreeParameter::new(regional).region } else { regional.part().name().into() };
     ParameterRow {
         parameter: spec.name.into(),
+        symbol: spec.symbol,
         unit: spec.unit.into(),
         region,
         initial: value,

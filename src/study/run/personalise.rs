@@ -20,6 +20,7 @@ use super::parameter_rows::{interval, parameter_rows};
 use super::patient::{Patient, PatientImages};
 use super::personal_tables::{verdict, write_tables};
 use super::pictures;
+use super::prediction::predict;
 use super::recovery::{Recovery, difference_rms, recovery};
 use super::search::{Found, ProfileInterval, Task, find, journal_of};
 use super::start::{StageRow, start_space};
@@ -70,7 +71,10 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let scene = Scene { plan, wanted, patient: &patient, images, clock: &clock };
     let personalised = personalise(&scene, &tracked, context)?;
     context.progress().stage("writing results", None);
-    let outcome = leave(&scene, &tracked, &personalised, started)?;
+    let mut outcome = leave(&scene, &tracked, &personalised, started)?;
+    if !context.is_stopped() {
+        outcome.headlines.extend(predict(plan, &patient, personalised.model.parameters(), context)?);
+    }
     context.progress().finish();
     Ok(outcome)
 }
@@ -164,6 +168,9 @@ struct Details {
     calibration_status: &'static str,
     iterations: usize,
     simulations: f64,
+    /// What a pass with all tangents took by the clock, in simulations.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    clocked_pass_cost: Option<f64>,
     solver: &'static str,
     /// Root mean square of every part of the data over its standard deviations.
     residual_rms: BTreeMap<&'static str, f64>,
@@ -303,6 +310,7 @@ fn leave(scene: &Scene, tracked: &Tracked, found: &Personalised, started: Instan
         calibration_status: calibration.outcome.status(),
         iterations: calibration.records.len().saturating_sub(1),
         simulations: calibration.spent,
+        clocked_pass_cost: found.found.clocked_pass_cost,
         solver: wanted.solver.word(),
         residual_rms: found.found.rms_by_part.iter().copied().collect(),
         active: found.found.active.clone(),

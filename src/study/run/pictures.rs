@@ -1,5 +1,7 @@
 //! The figures of a run: what was computed, put into the forms that the figure writers take.
 
+use std::path::Path;
+
 use crate::anatomy::Ventricle;
 use crate::circulation::Phase;
 use crate::heart::{BeatDeformation, HeartModel, Strain, Trajectory, phase_events};
@@ -135,15 +137,20 @@ fn corners(rows: &[(f64, crate::heart::VentricleCurve)], ventricle: Ventricle) -
 /// What the wall does in the last beat: the activation map and the strains by segment.
 pub(super) fn wall(plan: &Plan, model: &HeartModel, clock: &Clock, trajectory: &Trajectory) -> Result<(), RunError> {
     let folder = &plan.output.directory;
-    surface_map(&folder.join("activation.png"), &activation_map(model))?;
+    activation(&folder.join("activation.png"), model, "Activation")?;
     match deformation(model, trajectory, clock) {
         Some(beat) => Ok(strain_curves(&folder.join("strains.png"), &strains(&beat, clock.last_trigger_s()))?),
         None => Ok(()),
     }
 }
 
+/// Draws the depolarisation times of a heart.
+pub(super) fn activation(file: &Path, model: &HeartModel, title: &str) -> Result<(), RunError> {
+    Ok(surface_map(file, &activation_map(model, title))?)
+}
+
 /// Depolarisation times on the whole boundary, seen from both sides of the plane through both ventricles, a little from above.
-fn activation_map(model: &HeartModel) -> SurfaceMap {
+fn activation_map(model: &HeartModel, title: &str) -> SurfaceMap {
     const ISOCHRONES_MS: f64 = 10.0;
     let anatomy = model.anatomy();
     let axes = &anatomy.axes;
@@ -158,7 +165,7 @@ fn activation_map(model: &HeartModel) -> SurfaceMap {
         _ => vec![view("right ventricle on the left", across), view("right ventricle on the right", -across)],
     };
     SurfaceMap {
-        title: "Activation".into(),
+        title: title.into(),
         quantity: "depolarisation time (ms)".into(),
         vertices_mm: anatomy.mesh.vertices_mm().to_vec(),
         triangles: anatomy.surface.triangles().to_vec(),

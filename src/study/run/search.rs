@@ -43,6 +43,8 @@ pub(super) struct Found {
     pub(super) active: Vec<String>,
     /// Constraints that the answer violates: they contradict each other or the bounds.
     pub(super) violated: Vec<String>,
+    /// What a pass with tangents took by the clock, in simulations.
+    pub(super) clocked_pass_cost: Option<f64>,
 }
 
 /// A row of `profiles.csv`.
@@ -100,7 +102,8 @@ pub(super) fn find(
     let violated = broken.map(|constraint| constraint.label().to_owned()).collect();
     let rms_by_part = residual.rms_by_part(&calibration.evaluation.rows)?;
     let active = active(&calibration, space, &names, &labels);
-    Ok(Found { uncertainty, sensitivities, profiles, profile_intervals, rms_by_part, active, violated, calibration })
+    let clocked_pass_cost = model.clocked_pass_cost();
+    Ok(Found { clocked_pass_cost, uncertainty, sensitivities, profiles, profile_intervals, rms_by_part, active, violated, calibration })
 }
 
 /// The journal of a search, in the folder of the results.

@@ -12,6 +12,7 @@ use super::forward::{beat, blocked_stimuli, heart_model, observables, step_count
 use super::leave::{BeatSummary, Summary, frame_rows, write_beat};
 use super::patient::Patient;
 use super::pictures;
+use super::prediction::predict;
 use super::recorded_base::with_recorded_base;
 use crate::heart::{HeartModel, Periodicity, Trajectory, simulate_until_periodic};
 use crate::mesh::MeshQuality;
@@ -77,8 +78,12 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
         provenance: &plan.provenance,
     };
     write_json(&plan.output.directory.join("summary.json"), &summary)?;
+    let mut headlines = headlines(&trajectory, &clock);
+    if status != Status::Stopped {
+        headlines.extend(predict(plan, &patient, &patient.parameters, context)?);
+    }
     context.progress().finish();
-    Ok(Outcome { status, directory: plan.output.directory.clone(), headlines: headlines(&trajectory, &clock) })
+    Ok(Outcome { status, directory: plan.output.directory.clone(), headlines })
 }
 
 fn count_beats(model: &HeartModel, clock: Clock, beat_count: usize, context: &RunContext) -> Result<Beaten, RunError> {

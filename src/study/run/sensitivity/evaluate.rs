@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::RunError;
 use super::figures::{Figures, TrackingFigures};
+use super::recovered::recovered;
 use crate::circulation::Phase;
 use crate::heart::{CurveRow, HeartModel, Parameter, Parameters, SimulationPlan, Trajectory, simulate, simulate_until_periodic};
 use crate::sensitivity::to_parameters;
@@ -14,7 +15,7 @@ use crate::study::run::forward::heart_model;
 use crate::study::run::leave::BeatSummary;
 use crate::study::run::patient::Patient;
 use crate::study::run::recorded_base::with_recorded_base;
-use crate::study::run::track::tracker_settings;
+use crate::study::run::track::{Tracked, tracker_settings};
 use crate::study::{Plan, RunContext, Status};
 use crate::tracking::{TrackerSettings, track};
 
@@ -90,8 +91,15 @@ impl<'p> Evaluator<'p> {
             let motion = track(&model, &images.cine, tracker, &mut observer)?;
             let tracked = TrackingFigures::new(&motion, self.patient.truth.as_ref());
             let beat = BeatSummary::new(&model, &motion.trajectory, &clock);
-            let figures = Figures::new(&model, &beat, &motion.trajectory, &clock, Some(&tracked));
-            return Ok(Beat { figures, status: Status::Converged, trajectory: motion.trajectory });
+            let mut figures = Figures::new(&model, &beat, &motion.trajectory, &clock, Some(&tracked));
+            let mut status = Status::Converged;
+            let tracked = Tracked { motion, parameters: model.parameters().clone(), gain_choices: Vec::new() };
+            if let Some(wanted) = self.plan.personalisation.as_ref().filter(|_| !stop.load(Ordering::Relaxed)) {
+                let found = recovered(self.plan, wanted, &self.patient, &model, &tracked, stop)?;
+                figures.extend(found.values);
+                status = found.status;
+            }
+            return Ok(Beat { figures, status, trajectory: tracked.motion.trajectory });
         }
         let (trajectory, clock, status) = match self.plan.simulation.beats {
             Beats::Count(_) => {

@@ -82,6 +82,11 @@ impl Figures {
         Self { named, segments: segments.iter().map(as_table).collect() }
     }
 
+    /// Adds figures of other sources.
+    pub(super) fn extend(&mut self, figures: Vec<(String, f64)>) {
+        self.named.extend(figures.into_iter().map(|(name, value)| (name, Value::Float(value))));
+    }
+
     /// A figure; none where the heart does not have it.
     pub(super) fn value(&self, name: &str) -> Option<f64> {
         let found = match segment_figure(name) {

@@ -18,8 +18,8 @@ use crate::study::{Kind, Outcome, Plan, Provenance, Status};
 struct IndexRow<'a> {
     output: &'a str,
     measure: &'static str,
-    input: &'static str,
-    partner: Option<&'static str>,
+    input: String,
+    partner: Option<String>,
     value: f64,
     interval_low: Option<f64>,
     interval_high: Option<f64>,
@@ -100,17 +100,17 @@ fn word(measure: Measure) -> &'static str {
 }
 
 fn row<'a>(wanted: &SensitivityPlan, output: &'a str, index: &Index) -> IndexRow<'a> {
-    let spec = |input: usize| wanted.inputs[input].parameter().spec();
+    let parameter = |input: usize| wanted.inputs[input].parameter();
     let unit = match index.measure {
-        Measure::Slope => format!("{}/({})", unit_of(output), spec(index.input).unit),
+        Measure::Slope => format!("{}/({})", unit_of(output), parameter(index.input).parameter().spec().unit),
         Measure::RangeEffect | Measure::MeanEffect | Measure::MeanAbsoluteEffect | Measure::EffectSpread => unit_of(output).into(),
         Measure::Elasticity | Measure::FirstOrder | Measure::SecondOrder | Measure::Total => "1".into(),
     };
     IndexRow {
         output,
         measure: word(index.measure),
-        input: spec(index.input).name,
-        partner: index.partner.map(|partner| spec(partner).name),
+        input: parameter(index.input).name(),
+        partner: index.partner.map(|partner| parameter(partner).name()),
         value: index.value,
         interval_low: index.interval.map(|(low, _)| low),
         interval_high: index.interval.map(|(_, high)| high),
@@ -141,7 +141,7 @@ fn headline(wanted: &SensitivityPlan, output: &str, indices: &[Index]) -> Option
     /// Inputs that are named.
     const NAMED: usize = 3;
     let (measure, words, _) = ranking_measures(wanted.method);
-    let name = |index: &&Index| format!("{} {:.3}", wanted.inputs[index.input].parameter().spec().name, index.value);
+    let name = |index: &&Index| format!("{} {:.3}", wanted.inputs[index.input].parameter().name(), index.value);
     let most: Vec<String> = ranked(indices, measure).iter().take(NAMED).map(name).collect();
     (!most.is_empty()).then(|| format!("{output}: {} ({words})", most.join(", ")))
 }
@@ -153,7 +153,7 @@ fn draw(plan: &Plan, wanted: &SensitivityPlan, output: &str, indices: &[Index]) 
         indices.iter().find(|other| other.measure == measure && other.input == index.input).map(|other| other.value)
     };
     let input = |index: &&Index| RankedInput {
-        name: wanted.inputs[index.input].parameter().spec().name.into(),
+        name: wanted.inputs[index.input].parameter().name(),
         value: index.value,
         interval: index.interval,
         beside: other(index),

@@ -6,6 +6,7 @@ mod evaluate;
 mod figures;
 mod indices;
 mod records;
+mod recovered;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;

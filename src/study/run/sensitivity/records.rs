@@ -100,7 +100,7 @@ impl Records {
 }
 
 fn columns(wanted: &SensitivityPlan) -> Vec<String> {
-    let inputs = wanted.inputs.iter().map(|input| input.parameter().spec().name.to_string());
+    let inputs = wanted.inputs.iter().map(|input| input.parameter().name());
     let outcome = OUTCOME_COLUMNS.iter().map(ToString::to_string);
     std::iter::once("run".to_string()).chain(inputs).chain(wanted.outputs.iter().cloned()).chain(outcome).collect()
 }
