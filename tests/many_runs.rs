@@ -5,6 +5,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use rand::{Rng, SeedableRng};
@@ -75,34 +76,44 @@ fn row_count(results: &Path) -> usize {
     std::fs::read_to_string(results.join("runs.csv")).map_or(0, |text| text.lines().count().saturating_sub(1))
 }
 
-/// The tables of a run that nothing disturbed, on one thread.
-fn undisturbed(study: &Path, results: &Path) -> [String; 2] {
-    let folder = results.with_extension("undisturbed");
-    assert_eq!(end(command(study, &folder, &["--threads", "1"])), (0, String::new()));
-    let tables = tables(&folder);
-    assert_eq!(tables[0].lines().count(), 17);
-    tables
+/// The tables of a run of [`STUDY`] that nothing disturbed, on one thread; its study and its results.
+fn undisturbed() -> &'static ([String; 2], PathBuf, PathBuf) {
+    static ONCE: OnceLock<([String; 2], PathBuf, PathBuf)> = OnceLock::new();
+    ONCE.get_or_init(|| {
+        let (study, results) = study("undisturbed", STUDY);
+        assert_eq!(end(command(&study, &results, &["--threads", "1"])), (0, String::new()));
+        let tables = tables(&results);
+        assert_eq!(tables[0].lines().count(), 17);
+        (tables, study, results)
+    })
 }
 
-/// Lets a run add `rows` rows, or end, and a little more, and kills it.
-fn kill_after(mut child: Child, results: &Path, rows: usize, more: Duration) {
+/// Lets a run add `rows` rows, or end, and a little more, and ends it: by Ctrl-C, which it answers to, or for good.
+fn end_after(mut child: Child, results: &Path, rows: usize, more: Duration, is_asked: bool) {
     let target = row_count(results) + rows;
     while row_count(results) < target && child.try_wait().unwrap().is_none() {
         std::thread::sleep(Duration::from_millis(2));
     }
     std::thread::sleep(more);
-    child.kill().unwrap();
-    child.wait().unwrap();
+    if is_asked && child.try_wait().unwrap().is_none() {
+        assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+        let code = child.wait().unwrap().code();
+        assert!([Some(130), Some(0)].contains(&code), "{code:?}");
+    } else {
+        let _ = child.kill();
+        child.wait().unwrap();
+    }
 }
 
 #[test]
 fn a_run_that_is_killed_at_random_points_ends_as_one_that_is_not() {
     let (study, results) = study("killed", STUDY);
-    let expected = undisturbed(&study, &results);
+    let (expected, ..) = undisturbed();
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(11);
-    for _ in 0..6 {
+    for round in 0..6 {
         let child = command(&study, &results, &["--threads", "2"]).spawn().unwrap();
-        kill_after(child, &results, rng.random_range(0..4), Duration::from_millis(rng.random_range(0..60)));
+        let (rows, more) = (rng.random_range(0..4), Duration::from_millis(rng.random_range(0..60)));
+        end_after(child, &results, rows, more, round % 2 == 1);
         // What a kill in the midst of a write, or a power cut, would leave.
         if let Ok(bytes) = std::fs::read(results.join("runs.csv")) {
             let cut = rng.random_range(0..60).min(bytes.len());
@@ -111,20 +122,20 @@ fn a_run_that_is_killed_at_random_points_ends_as_one_that_is_not() {
     }
     assert!(row_count(&results) > 0, "it was killed before there was anything to keep");
     assert_eq!(end(command(&study, &results, &["--threads", "2"])).0, 0);
-    assert_eq!(tables(&results), expected);
+    assert_eq!(&tables(&results), expected);
 }
 
 #[test]
 fn parts_on_any_number_of_threads_make_the_whole_and_merging_again_changes_nothing() {
     let (study, results) = study("parts", STUDY);
-    let expected = undisturbed(&study, &results);
+    let (expected, ..) = undisturbed();
     assert_eq!(end(command(&study, &results, &["--threads", "3", "--shard", "2/3"])).0, 0);
     assert_eq!(end(command(&study, &results, &["--shard", "1/3"])).0, 0);
     assert_eq!(merge(&study, &results), 1, "a part is missing");
     assert_eq!(end(command(&study, &results, &["--threads", "1", "--shard", "3/3"])).0, 0);
     for _ in 0..2 {
         assert_eq!(merge(&study, &results), 0);
-        assert_eq!(tables(&results), expected);
+        assert_eq!(&tables(&results), expected);
     }
 }
 
@@ -132,7 +143,7 @@ fn parts_on_any_number_of_threads_make_the_whole_and_merging_again_changes_nothi
 #[test]
 fn a_full_disk_is_told_and_what_was_written_is_kept() {
     let (study, results) = study("full", STUDY);
-    let expected = undisturbed(&study, &results);
+    let (expected, ..) = undisturbed();
     let mut full = Command::new("sh");
     full.args(["-c", "trap '' XFSZ; ulimit -f 2; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_cardiotwin"), "run"]);
     full.arg(&study).arg("-o").arg(&results).args(["--quiet", "--threads", "2"]).stdout(Stdio::null());
@@ -141,14 +152,33 @@ fn a_full_disk_is_told_and_what_was_written_is_kept() {
     assert!(said.contains("runs.csv; see that its folder is writable and the disk is not full"), "{said}");
     assert!(row_count(&results) > 0);
     assert_eq!(end(command(&study, &results, &[])).0, 0);
-    assert_eq!(tables(&results), expected);
+    assert_eq!(&tables(&results), expected);
+}
+
+/// Folders that nobody can write, not even root: below a file, and in a file system that takes no files.
+#[test]
+fn a_folder_of_results_that_cannot_be_written_is_told() {
+    let (study, _) = study("unwritable", STUDY);
+    let cohort = study.with_file_name("cohort.toml");
+    std::fs::write(&cohort, "base = \"study.toml\"\n[[patient]]\nname = \"A\"\n").unwrap();
+    let places = [study.join("results"), PathBuf::from("/proc/cardiotwin/results")];
+    for place in places.iter().filter(|place| !place.starts_with("/proc") || Path::new("/proc/self").exists()) {
+        for (word, file) in [("run", &study), ("cohort", &cohort)] {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_cardiotwin"));
+            command.arg(word).arg(file).arg("-o").arg(place).arg("--quiet").stdout(Stdio::null());
+            let (code, said) = end(command);
+            assert_eq!(code, 1, "{word} into {}: {said}", place.display());
+            assert!(said.contains("cannot make the folder") && said.contains("because: "), "{word} into {}: {said}", place.display());
+        }
+    }
 }
 
 #[test]
 fn runs_of_another_study_are_not_taken_for_those_of_this_one() {
-    let (study, results) = study("other", STUDY);
-    let expected = undisturbed(&study, &results);
-    let folder = results.with_extension("undisturbed");
+    let (study, folder) = study("other", STUDY);
+    let (expected, _, done) = undisturbed();
+    std::fs::create_dir_all(&folder).unwrap();
+    std::fs::copy(done.join("runs.csv"), folder.join("runs.csv")).unwrap();
     for other in ["sensitivity.seed=4", "mechanics.step_s=0.01", "sensitivity.outputs=[\"twist_lv_deg\"]"] {
         let (code, said) = end(command(&study, &folder, &["--set", other]));
         assert_eq!(code, 2, "{other}: {said}");
@@ -160,7 +190,7 @@ fn runs_of_another_study_are_not_taken_for_those_of_this_one() {
     let (code, said) = end(command(&study, &folder, &[]));
     assert_eq!(code, 0, "{said}");
     assert!(said.contains("3 rows were cut off or garbled; they are run again"), "{said}");
-    assert_eq!(tables(&folder), expected);
+    assert_eq!(&tables(&folder), expected);
 }
 
 /// A wall of nearly no stiffness under much contraction fails: such runs are rows, with how far they came and why, and the indices do without.

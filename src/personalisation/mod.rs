@@ -4,6 +4,7 @@
 
 mod constraints;
 mod error;
+mod evidence;
 mod gains;
 mod gauss_newton;
 mod journal;
@@ -21,6 +22,7 @@ use nalgebra::DVector;
 
 pub use constraints::{InequalityConstraint, LinearConstraint, RepolarisedBeforeNextBeat};
 pub use error::PersonalisationError;
+pub use evidence::Evidence;
 pub use gains::{GainChoice, GainEvaluation, GainSearch};
 pub use gauss_newton::{
     Calibration, CalibrationOutcome, CalibrationState, ConvergenceTest, GaussNewtonQp, GaussNewtonSettings, IterationRecord, RecordStatus,

@@ -198,6 +198,16 @@ impl ParameterSpace {
         self
     }
 
+    /// The same space with other strengths of what is known before the data: factors on the standard deviations of the parameters' own
+    /// priors and of the ties.
+    #[must_use]
+    pub fn with_prior_scaled(&self, own: f64, ties: f64) -> Self {
+        let mut scaled = self.clone();
+        scaled.all.iter_mut().for_each(|entry| entry.prior_sd *= own);
+        scaled.ties.iter_mut().for_each(|tie| tie.sd *= ties);
+        scaled
+    }
+
     /// The coordinates that are expected to be alike.
     pub fn ties(&self) -> &[Tie] {
         &self.ties

@@ -157,6 +157,15 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
         self
     }
 
+    /// The same problem, its journal and what it has spent, with the prior of another space and without constraints.
+    ///
+    /// # Errors
+    /// As [`CalibrationProblem::new`].
+    pub fn with_prior_of(self, space: &ParameterSpace) -> Result<Self, PersonalisationError> {
+        let prior = PriorResidual::new(space.prior_mean(), space.prior_sd())?.with_ties(space.ties().to_vec())?;
+        Ok(Self { prior, constraints: Vec::new(), ..self })
+    }
+
     /// Simulations spent so far.
     pub fn spent(&self) -> f64 {
         self.journal.spent()

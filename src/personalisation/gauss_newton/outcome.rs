@@ -142,3 +142,24 @@ pub struct Calibration {
     /// All of it in simulations.
     pub spent: f64,
 }
+
+impl Calibration {
+    /// This search and the one that went on from where it ended, as one.
+    #[must_use]
+    pub fn followed_by(mut self, further: Self) -> Self {
+        let (last, spent) = (self.records.last().map_or(0, |record| record.iteration), self.spent);
+        let going_on = further.records.into_iter().skip(1);
+        self.records.extend(going_on.map(|record| IterationRecord {
+            iteration: record.iteration + last,
+            spent: record.spent.max(spent),
+            ..record
+        }));
+        Self {
+            records: self.records,
+            evaluation_count: self.evaluation_count + further.evaluation_count,
+            linearisation_count: self.linearisation_count + further.linearisation_count,
+            spent: further.spent.max(spent),
+            ..further
+        }
+    }
+}

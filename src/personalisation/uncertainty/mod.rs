@@ -28,6 +28,8 @@ pub enum NoiseScale {
     AsStated,
     /// s² = Σ w r²/(n − p): the residuals that remain tell the noise (and the model's discrepancy), never less than stated.
     FromResiduals,
+    /// s is known, and the problem's prior is in units of the stated noise: the whole objective is over s², see [`super::Evidence`].
+    OfObjective(f64),
 }
 
 /// The posterior around a minimum, in coordinates.
@@ -71,13 +73,15 @@ impl Uncertainty {
         let noise_scale = match noise {
             NoiseScale::AsStated => 1.0,
             NoiseScale::FromResiduals => residual_scale(at, &weights, free.len())?,
+            NoiseScale::OfObjective(scale) => scale,
         };
+        let prior_scale = if matches!(noise, NoiseScale::OfObjective(_)) { noise_scale } else { 1.0 };
         let all_scales = problem.scales();
         let scales = DVector::from_iterator(free.len(), free.iter().map(|&index| all_scales[index]));
         let whitened = DMatrix::from_fn(at.rows.len(), free.len(), |row, column| {
             weights[row].sqrt() * at.jacobian[(row, free[column])] * scales[column] / noise_scale
         });
-        let precision = problem.prior().precision();
+        let precision = problem.prior().precision() / prior_scale.powi(2);
         let mut information = whitened.tr_mul(&whitened);
         for (column, &index) in free.iter().enumerate() {
             for (row, &other) in free.iter().enumerate() {
@@ -96,7 +100,7 @@ impl Uncertainty {
             if row == column { 1.0 } else { covariance[(row, column)] / (deviation(row) * deviation(column)) }
         });
         let (singular_values, directions) = spectrum(&whitened);
-        let prior_sd = problem.prior().sd().clone();
+        let prior_sd = problem.prior().sd() * prior_scale;
         Ok(Self { free, covariance, sd, correlations, noise_scale, singular_values, directions, prior_sd })
     }
 

@@ -78,6 +78,16 @@ words! {
     }
 }
 
+words! {
+    /// How alike neighbouring segments are taken to be.
+    Ties {
+        /// As `neighbour_sd` says, and the data as noisy as their `sigma_` say.
+        Written = "written",
+        /// Both as the data tell, \[MacKay1992\]; from what is written.
+        Evidence = "evidence",
+    }
+}
+
 impl Choice for SearchMethod {
     const WORDS: &'static [(&'static str, Self)] = &[
         ("gauss_newton", Self::GaussNewton),
@@ -135,6 +145,8 @@ pub struct PersonalisationPlan {
     pub data: DataPlan,
     /// `solver`.
     pub solver: SearchMethod,
+    /// `ties`: how alike neighbouring segments are.
+    pub ties: Ties,
     /// `tangents`; differences where the heart has none.
     pub tangents: Tangents,
     /// `solvers`: of [`super::Kind::CompareSolvers`].
@@ -167,6 +179,7 @@ pub(super) fn read(table: TableReader, parameters: &Parameters) -> Option<Person
         repolarised_margin_s: table.optional_number("repolarised_margin_s", 0.0..=1.0),
         data: read_data(&table),
         solver: table.choice("solver", SearchMethod::GaussNewton),
+        ties: table.choice("ties", Ties::Written),
         tangents: table.choice("tangents", Tangents::Analytic),
         solvers: solvers.unwrap_or_else(|| SearchMethod::WORDS.iter().map(|&(_, method)| method).collect()),
         max_iterations: table.count("max_iterations", 1..=100_000, 12),
@@ -181,6 +194,9 @@ pub(super) fn read(table: TableReader, parameters: &Parameters) -> Option<Person
     });
     if let Some(plan) = &plan {
         check_parameters(&table, &plan.parameters);
+        if plan.ties == Ties::Evidence && plan.parameters.iter().all(|free| free.regions != Regions::AhaSegments) {
+            table.problem("ties", "are of segments alone", "write regions = \"aha_segments\" for a parameter, or take it away");
+        }
         let of_truth = (plan.data.volumes, plan.data.boundary);
         if of_truth == (Some(VolumeData::None), BoundaryData::None) && plan.data.pressures.is_none() && plan.data.activation_times.is_none()
         {

@@ -27,7 +27,7 @@ use super::start::{StageRow, start_space};
 use super::track::{Tracked, held_out_rms_mm, surface_rms_mm, track_again, track_patient, validate};
 use crate::heart::{HeartModel, Parameter, Trajectory};
 use crate::mesh::{MeshQuality, SurfaceTag};
-use crate::personalisation::{CalibrationOutcome, GainEvaluation, ParameterSpace};
+use crate::personalisation::{CalibrationOutcome, Evidence, GainEvaluation, ParameterSpace};
 use crate::report::figures::{CostHistory, Curve, Look, cost_over_iterations, parameter_intervals};
 use crate::report::{ParameterRow, write_csv, write_json};
 use crate::study::plan::PersonalisationPlan;
@@ -172,6 +172,9 @@ struct Details {
     #[serde(skip_serializing_if = "Option::is_none")]
     clocked_pass_cost: Option<f64>,
     solver: &'static str,
+    /// What the data say of their noise and of neighbours, relative to what the study states.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    evidence: Option<Evidence>,
     /// Root mean square of every part of the data over its standard deviations.
     residual_rms: BTreeMap<&'static str, f64>,
     /// Bounds and constraints that hold the answer.
@@ -312,6 +315,7 @@ fn leave(scene: &Scene, tracked: &Tracked, found: &Personalised, started: Instan
         simulations: calibration.spent,
         clocked_pass_cost: found.found.clocked_pass_cost,
         solver: wanted.solver.word(),
+        evidence: found.found.evidence,
         residual_rms: found.found.rms_by_part.iter().copied().collect(),
         active: found.found.active.clone(),
         profile_intervals: found.found.profile_intervals.clone(),

@@ -9,11 +9,11 @@ use super::heart_tangents::HeartTangents;
 use super::journal::JournalFile;
 use crate::heart::HeartModel;
 use crate::personalisation::{
-    Calibration, CalibrationProblem, CalibrationTrajectory, DataSensitivity, GaussNewtonSettings, IterationRecord, Journal,
+    Calibration, CalibrationProblem, CalibrationTrajectory, DataSensitivity, Evidence, GaussNewtonSettings, IterationRecord, Journal,
     LinearConstraint, NoiseScale, ParameterSpace, RepolarisedBeforeNextBeat, SearchMethod, SearchSettings, StackedResidual, TangentModel,
     Uncertainty, crossing_95, data_sensitivities, profile, search,
 };
-use crate::study::plan::{PersonalisationPlan, Plan};
+use crate::study::plan::{PersonalisationPlan, Plan, Ties};
 use crate::study::{Provenance, RunContext};
 
 /// Where a profile holds its parameter, in standard deviations of the linearised posterior.
@@ -43,6 +43,8 @@ pub(super) struct Found {
     pub(super) active: Vec<String>,
     /// Constraints that the answer violates: they contradict each other or the bounds.
     pub(super) violated: Vec<String>,
+    /// The strengths of data and ties that the data tell, where the study asks for them.
+    pub(super) evidence: Option<Evidence>,
     /// What a pass with tangents took by the clock, in simulations.
     pub(super) clocked_pass_cost: Option<f64>,
 }
@@ -81,7 +83,7 @@ pub(super) fn find(
     let problem = CalibrationProblem::new(&model, residual, space)?
         .with_stop_flag(context.stop())
         .with_journal(Journal::new(entries.iter().cloned(), &sink));
-    let problem = constrained(problem, task)?;
+    let mut problem = constrained(problem, task)?;
     let limits = GaussNewtonSettings {
         max_iterations: wanted.max_iterations as u64,
         step_tolerance: wanted.tolerance,
@@ -89,10 +91,21 @@ pub(super) fn find(
     };
     let settings = SearchSettings { method, limits, most_simulations: wanted.max_simulations as f64, seed: wanted.seed };
     context.progress().stage("finding the parameters", Some(wanted.max_iterations as u64));
-    let calibration = search(&problem, start, settings, &mut |record| context.progress().step(record.iteration))?;
+    let mut calibration = search(&problem, start, settings, &mut |record| context.progress().step(record.iteration))?;
+    let mut evidence = None;
+    for _ in 0..evidence_rounds(task) {
+        let Some(at) = calibration.linearisation.as_ref().filter(|_| !context.is_stopped()) else { break };
+        let told = evidence.unwrap_or(Evidence::STATED).improved(at, space)?;
+        evidence = Some(told);
+        problem = constrained(problem.with_prior_of(&told.applied_to(space))?, task)?;
+        context.progress().stage("finding the parameters under the evidence of their ties", Some(wanted.max_iterations as u64));
+        let further = search(&problem, &calibration.coordinates, settings, &mut |record| context.progress().step(record.iteration))?;
+        calibration = calibration.followed_by(further);
+    }
     let (mut uncertainty, mut sensitivities) = (None, Vec::new());
     if let Some(at) = &calibration.linearisation {
-        uncertainty = Some(Uncertainty::new(&problem, at, noise_scale(at.rows.len(), space))?);
+        let noise = evidence.map_or(noise_scale(at.rows.len(), space), |told: Evidence| NoiseScale::OfObjective(told.noise_scale));
+        uncertainty = Some(Uncertainty::new(&problem, at, noise)?);
         sensitivities = data_sensitivities(residual, at, &problem.scales(), &space.names())?;
     }
     let (profiles, profile_intervals) = profiles(task, &problem, &calibration, uncertainty.as_ref(), limits, context)?;
@@ -103,7 +116,24 @@ pub(super) fn find(
     let rms_by_part = residual.rms_by_part(&calibration.evaluation.rows)?;
     let active = active(&calibration, space, &names, &labels);
     let clocked_pass_cost = model.clocked_pass_cost();
-    Ok(Found { clocked_pass_cost, uncertainty, sensitivities, profiles, profile_intervals, rms_by_part, active, violated, calibration })
+    Ok(Found {
+        evidence,
+        clocked_pass_cost,
+        uncertainty,
+        sensitivities,
+        profiles,
+        profile_intervals,
+        rms_by_part,
+        active,
+        violated,
+        calibration,
+    })
+}
+
+/// How often ties and noise are told anew by their evidence, and the parameters found again with them.
+fn evidence_rounds(task: &Task) -> usize {
+    const ROUNDS: usize = 3;
+    if task.wanted.ties == Ties::Evidence && !task.space.ties().is_empty() { ROUNDS } else { 0 }
 }
 
 /// The journal of a search, in the folder of the results.

@@ -1,5 +1,7 @@
 //! Reads typed values out of a study file and collects everything that is wrong with it, so that one run names all errors.
 
+mod parameters;
+
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
@@ -9,7 +11,7 @@ use nalgebra::Vector3;
 use toml::Value;
 
 use super::{Config, Problem};
-use crate::heart::{Parameter, Parameters, Part, RegionalParameter, Section};
+use crate::heart::Parameter;
 
 /// A closed set of words of the study file.
 pub trait Choice: Copy + PartialEq + 'static {
@@ -289,71 +291,6 @@ impl<'a> TableReader<'a> {
         tables.unwrap_or_default().into_iter().enumerate().map(named).collect()
     }
 
-    /// The parameters of one section of the model's table, each within its physical range.
-    pub(super) fn parameters(&self, section: Section, parameters: &mut Parameters, written: &mut BTreeSet<RegionalParameter>) {
-        let of_section: Vec<_> = Parameter::ALL.iter().copied().filter(|parameter| parameter.spec().section == section).collect();
-        for &parameter in &of_section {
-            self.parameter(parameter, parameters, written);
-        }
-        if of_section.iter().any(|&parameter| !RegionalParameter::parts_of(parameter).is_empty()) {
-            self.regions(&of_section, parameters, written);
-        }
-    }
-
-    /// One parameter under its own name, if it is written.
-    pub(super) fn parameter(&self, parameter: Parameter, parameters: &mut Parameters, written: &mut BTreeSet<RegionalParameter>) {
-        self.regional_parameter(parameter.into(), parameters, written);
-    }
-
-    fn regional_parameter(&self, regional: RegionalParameter, parameters: &mut Parameters, written: &mut BTreeSet<RegionalParameter>) {
-        let spec = regional.parameter().spec();
-        if let Some(value) = self.optional_number(spec.name, spec.lower..=spec.upper) {
-            match parameters.set(regional, value) {
-                Ok(()) if written.insert(regional) => {}
-                Ok(()) => self.problem(spec.name, format!("stands twice for {}", regional.part().name()), "keep one of them"),
-                Err(error) => self.problem(spec.name, "is out of range", error.to_string()),
-            }
-        }
-    }
-
-    /// `[[region]]`: values that hold in the `parts` named and nowhere else.
-    pub(super) fn regions(&self, of: &[Parameter], parameters: &mut Parameters, written: &mut BTreeSet<RegionalParameter>) {
-        for table in self.tables("region") {
-            let parts = table.parts("parts");
-            for &parameter in of.iter().filter(|&&parameter| !RegionalParameter::parts_of(parameter).is_empty()) {
-                let is_written = table.has(parameter.spec().name);
-                for &part in &parts {
-                    match RegionalParameter::new(parameter, part) {
-                        Some(regional) => table.regional_parameter(regional, parameters, written),
-                        None if is_written => {
-                            let remedy = format!("it has values of its own in {}", words_of(&RegionalParameter::parts_of(parameter)));
-                            table.problem(parameter.spec().name, format!("has no value of {}", part.name()), remedy);
-                        }
-                        None => {}
-                    }
-                }
-            }
-            table.close();
-        }
-    }
-
-    /// Names of parts of the heart, at least one.
-    fn parts(&self, key: &'static str) -> Vec<Part> {
-        let list = self.value(key).and_then(Value::as_array);
-        let parts = list.and_then(|list| list.iter().map(|word| Part::from_name(word.as_str()?)).collect::<Option<Vec<_>>>());
-        match parts.filter(|parts| !parts.is_empty() && !parts.contains(&Part::Whole)) {
-            Some(parts) => parts,
-            None => {
-                self.problem(
-                    key,
-                    "is no list of parts of the heart",
-                    "write some of lv, rv, scar, segment_1 to segment_17, as in [\"segment_7\"]",
-                );
-                Vec::new()
-            }
-        }
-    }
-
     /// Ends the table: whatever is written and was not asked for is an error.
     pub(super) fn close(self) {
         let asked = self.asked.borrow();
@@ -382,11 +319,6 @@ impl<'a> TableReader<'a> {
     pub(super) fn missing(&self, key: &str, expected: &str) {
         self.problem(key, "is missing", format!("write {expected}"));
     }
-}
-
-/// The parts of a list as people would say them.
-fn words_of(parts: &[Part]) -> &'static str {
-    if parts.contains(&Part::Scar) { "lv, rv, scar and the segments" } else { "the segments" }
 }
 
 /// `table.key=value` for every value of nested tables.
