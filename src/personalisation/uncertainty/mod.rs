@@ -22,7 +22,7 @@ const UNINFORMED: f64 = 0.9;
 const NULL: f64 = 1e-13;
 
 /// Where the size of the noise comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum NoiseScale {
     /// The standard deviations stated with the residuals are true: s = 1.
     AsStated,

@@ -294,8 +294,8 @@ impl<'a> TableReader<'a> {
     /// Ends the table: whatever is written and was not asked for is an error.
     pub(super) fn close(self) {
         let asked = self.asked.borrow();
-        let without_number = self.path.split_once('[').map_or(self.path.as_str(), |(path, _)| path);
-        let full = |key: &&str| if without_number.is_empty() { key.to_string() } else { format!("{without_number}.{key}") };
+        let path = without_numbers(&self.path);
+        let full = |key: &&str| if path.is_empty() { key.to_string() } else { format!("{path}.{key}") };
         self.reader.known.borrow_mut().extend(asked.iter().map(full));
         let Some(table) = self.table else { return };
         for key in table.keys().filter(|key| !asked.contains(key.as_str())) {
@@ -319,6 +319,14 @@ impl<'a> TableReader<'a> {
     pub(super) fn missing(&self, key: &str, expected: &str) {
         self.problem(key, "is missing", format!("write {expected}"));
     }
+}
+
+/// The name of a table without its numbers in lists.
+fn without_numbers(path: &str) -> String {
+    path.split('[')
+        .enumerate()
+        .map(|(place, part)| if place == 0 { part } else { part.split_once(']').map_or("", |(_, rest)| rest) })
+        .collect()
 }
 
 /// `table.key=value` for every value of nested tables.

@@ -21,7 +21,7 @@ use crate::units::{MS_PER_S, mmhg_from_kpa};
 const FRAMES: usize = 160;
 
 /// Looks of the curves of one figure; a further onset is in the table alone.
-const LOOKS: [Look; 5] = [Look::Simulated, Look::Tracked, Look::Artery, Look::Other, Look::Initial];
+const LOOKS: [Look; 5] = [Look::Simulated, Look::Artery, Look::Anterior, Look::Other, Look::Inferior];
 
 /// A row of `predictions.csv`: an onset.
 #[derive(Debug, Clone, Serialize)]
