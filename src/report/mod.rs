@@ -5,6 +5,7 @@ mod atomic;
 mod error;
 pub mod figures;
 mod fingerprint;
+pub mod html;
 mod ledger;
 mod series;
 mod tables;

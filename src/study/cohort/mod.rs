@@ -217,6 +217,7 @@ impl Cohort {
         is_stopped: bool,
     ) -> Result<Outcome, RunError> {
         report::write(&self.directory.join("cohort.md"), &self.name, table, patients, rows)?;
+        report::write_html(&self.directory.join("report.html"), &self.name, table, patients, rows)?;
         Ok(self.outcome(table, patients, rows, is_stopped))
     }
 

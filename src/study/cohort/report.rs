@@ -1,4 +1,4 @@
-//! `cohort.md`: the table of a cohort for reading, in Markdown.
+//! `cohort.md` and `report.html`: the table of a cohort for reading, in Markdown and as a page that leads to those of the patients.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -6,6 +6,7 @@ use std::path::Path;
 
 use super::CohortPatient;
 use super::table::PatientTable;
+use crate::report::html::{Bar, Bars, Block, Page, Section, Table, write_page};
 use crate::report::{LedgerRow, ReportError, write_atomically};
 
 /// Writes the report of `patients`; those without a row were not run.
@@ -20,13 +21,69 @@ pub(super) fn write(
     write_atomically(file, |out| out.write_all(text.as_bytes()))
 }
 
+/// Writes the page of `patients`, with a link to the report of every one that has been run.
+pub(super) fn write_html(
+    file: &Path,
+    name: &str,
+    table: &PatientTable,
+    patients: &[&CohortPatient],
+    rows: &BTreeMap<String, LedgerRow>,
+) -> Result<(), ReportError> {
+    let run: Vec<(&CohortPatient, &LedgerRow)> = patients.iter().filter_map(|patient| Some((*patient, rows.get(&patient.name)?))).collect();
+    let failed = run.iter().filter(|(_, row)| table.has_failed(row)).count();
+    let missing = patients.len() - run.len();
+    let figures = known_figures(table, rows);
+    let parameters = table.parameters();
+    let line =
+        |(patient, row): &(&CohortPatient, &LedgerRow)| std::iter::once(patient.name.clone()).chain(cells(table, row, &figures)).collect();
+    let named = ["patient", "status"].into_iter().chain(figures.iter().copied());
+    let of_patients = Table {
+        caption: "The patients; parameters with their 95 % intervals".into(),
+        columns: named.chain(parameters.iter().map(String::as_str)).map(str::to_owned).collect(),
+        rows: run.iter().map(line).collect(),
+    };
+    let reasons: Vec<String> =
+        run.iter().filter_map(|(patient, row)| Some(format!("{}: {}", patient.name, table.field(row, "reason")?))).collect();
+    let link = |(patient, _): &(&CohortPatient, &LedgerRow)| (patient.name.clone(), format!("{}/report.html", patient.name));
+    let links = run.iter().filter(|(_, row)| !table.has_failed(row)).map(link).collect();
+    let mut blocks = vec![Block::Table(of_patients)];
+    if !reasons.is_empty() {
+        blocks.extend([Block::Text("What failed:".into()), Block::Warnings(reasons)]);
+    }
+    let bars = figures.iter().map(|figure| Block::Bars(of_figure(table, figure, &run))).collect();
+    let page = Page {
+        title: name.trim_end_matches(".toml").replace('_', " "),
+        question: "The same study for every patient of a cohort.".into(),
+        status: (format!("{} patients: {failed} failed, {missing} not run.", patients.len()), failed + missing == 0),
+        sections: vec![
+            Section { title: "Patients".into(), blocks },
+            Section { title: "Reports of the patients".into(), blocks: vec![Block::Links(links)] },
+            Section { title: "Side by side".into(), blocks: vec![Block::Beside(bars)] },
+        ],
+        ..Page::default()
+    };
+    write_page(file, &page)
+}
+
+/// A figure of all patients.
+fn of_figure(table: &PatientTable, figure: &str, run: &[(&CohortPatient, &LedgerRow)]) -> Bars {
+    let value = |row: &LedgerRow| table.field(row, figure).and_then(|field| field.parse::<f64>().ok());
+    let bar =
+        |(patient, row): &(&CohortPatient, &LedgerRow)| Some(Bar { name: patient.name.clone(), value: value(row)?, ..Bar::default() });
+    Bars { title: figure.replace('_', " "), bars: run.iter().filter_map(bar).collect(), ..Bars::default() }
+}
+
+/// Figures that somebody has.
+fn known_figures(table: &PatientTable, rows: &BTreeMap<String, LedgerRow>) -> Vec<&'static str> {
+    let any = |column: &&str| rows.values().any(|row| table.field(row, column).is_some());
+    PatientTable::figures().filter(any).collect()
+}
+
 fn text(name: &str, table: &PatientTable, patients: &[&CohortPatient], rows: &BTreeMap<String, LedgerRow>) -> String {
     let failed = patients.iter().filter_map(|patient| rows.get(&patient.name)).filter(|row| table.has_failed(row)).count();
     let missing = patients.iter().filter(|patient| !rows.contains_key(&patient.name)).count();
     let mut text = format!("# {name}\n\n{} patients: {failed} failed, {missing} not run.\n", patients.len());
-    // Figures that nobody has are left out.
-    let any = |column: &&str| rows.values().any(|row| table.field(row, column).is_some());
-    let figures: Vec<&str> = PatientTable::figures().filter(any).collect();
+    let figures = known_figures(table, rows);
     let parameters = table.parameters();
     let columns: Vec<&str> =
         ["patient", "status"].into_iter().chain(figures.iter().copied()).chain(parameters.iter().map(String::as_str)).collect();

@@ -9,13 +9,15 @@ use super::clock::Clock;
 use super::discrepancy::work_magnitude_mj;
 use super::error::RunError;
 use super::forward::frame_volumes_lv_ml;
-use super::montages::{NamedMotion, montages};
+use super::montages::{ImageScene, NamedMotion, every_frame, montages};
+use super::page::{Account, Frames, leave_page, table_section};
 use super::patient::{Patient, PatientImages};
 use super::track::{Tracked, surface_rms_mm, track_patient, validate};
 use super::track_only;
 use crate::mesh::SurfaceTag;
 use crate::numerics::root_mean_square;
 use crate::report::figures::{Curve, Look, TimeCurves, VolumeCurves, time_curves, volume_curves};
+use crate::report::html::{Block, Plot, Section, Slices, Table};
 use crate::report::{create_folder, write_csv, write_json};
 use crate::study::plan::{BaseMode, OutputPlan, TrackingPlan};
 use crate::study::volumes::measured_curve;
@@ -141,8 +143,10 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let no_motion = tried.iter().find_map(|one| one.tracked.as_ref()).map(|tracked| no_motion(&patient, images, tracked, &clock));
     let agreement: Vec<_> = no_motion.iter().flatten().chain(tried.iter().flat_map(|one| &one.agreement)).collect();
     write_csv(&folder.join("agreement.csv"), &agreement)?;
+    let motions = motions(plan, &tried);
+    let scene = ImageScene { plan, patient: &patient, images, clock: &clock, motions: &motions };
     if plan.output.figures {
-        draw(plan, &patient, images, &clock, &contours_ml, &tried)?;
+        draw(&scene, &contours_ml, &tried)?;
     }
     let extreme = |pick: fn(f64, f64) -> f64, from: f64| contours_ml.iter().copied().fold(from, pick);
     let status = Status::Converged;
@@ -157,9 +161,11 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
         provenance: &plan.provenance,
     };
     write_json(&folder.join("summary.json"), &summary)?;
-    context.progress().finish();
     let still = no_motion.as_deref().and_then(means).map(|(dice, mm)| format!("no motion: Dice {dice:.3}, mean distance {mm:.2} mm"));
-    let headlines = modes.iter().map(headline).chain(still).collect();
+    let headlines: Vec<String> = modes.iter().map(headline).chain(still).collect();
+    let account = Account { status, headlines: &headlines, warnings: summary.warnings, key_figures: Vec::new(), record: &summary };
+    leave_report(&scene, &contours_ml, &tried, &agreement, account)?;
+    context.progress().finish();
     Ok(Outcome { status, directory: folder.clone(), headlines })
 }
 
@@ -294,34 +300,68 @@ fn means(rows: &[AgreementRow]) -> Option<(f64, f64)> {
         .then(|| (mean(&mut rows.iter().map(|row| row.dice), rows.len()), mean(&mut distances.iter().copied(), distances.len())))
 }
 
-fn draw(
-    plan: &Plan,
-    patient: &Patient,
-    images: &PatientImages,
-    clock: &Clock,
-    contours_ml: &[f64],
-    tried: &[Tried],
-) -> Result<(), RunError> {
-    let folder = &plan.output.directory;
-    let curve = |one: &Tried, value: fn(&VolumeRow) -> f64| Curve {
+/// Those that came to an end.
+fn finished(tried: &[Tried]) -> impl Iterator<Item = &Tried> {
+    tried.iter().filter(|one| one.tracked.is_some())
+}
+
+fn curves(tried: &[Tried], value: fn(&VolumeRow) -> f64) -> Vec<Curve> {
+    let curve = |one: &Tried| Curve {
         name: one.mode.name.into(),
         look: one.mode.look,
         points: one.volumes.iter().map(|row| (row.time_s, value(row))).collect(),
     };
-    let finished = || tried.iter().filter(|one| one.tracked.is_some());
-    let mut curves: Vec<Curve> = finished().map(|one| curve(one, |row| row.volume_lv_ml)).collect();
+    finished(tried).map(curve).collect()
+}
+
+fn volume_figure(clock: &Clock, contours_ml: &[f64], tried: &[Tried]) -> VolumeCurves {
+    let mut curves = curves(tried, |row| row.volume_lv_ml);
     curves.push(Curve::new("contours", Look::Measured, &clock.times_s, contours_ml));
-    let title = "LV volume with each base".into();
-    volume_curves(&folder.join("volume_lv.png"), &VolumeCurves { title, quantity: "LV volume".into(), curves })?;
-    let curves = finished().map(|one| curve(one, |row| row.base_descent_mm)).collect();
-    let title = "Way of the base towards the apex".into();
-    time_curves(&folder.join("base.png"), &TimeCurves { title, quantity: "base descent (mm)".into(), curves })?;
+    VolumeCurves { title: "LV volume with each base".into(), quantity: "LV volume".into(), curves }
+}
+
+fn base_figure(tried: &[Tried]) -> TimeCurves {
+    let curves = curves(tried, |row| row.base_descent_mm);
+    TimeCurves { title: "Way of the base towards the apex".into(), quantity: "base descent (mm)".into(), curves }
+}
+
+/// The motions that are shown: of block matching the one of the study's projection.
+fn motions<'a>(plan: &Plan, tried: &'a [Tried]) -> Vec<NamedMotion<'a>> {
     let is_shown = |one: &&Tried| one.mode.base != BaseMode::BlockMatching || one.mode.projection == plan.tracking.base_projection;
-    let motions: Vec<NamedMotion> = finished()
-        .filter(is_shown)
-        .filter_map(|one| Some(NamedMotion { name: one.mode.name, frames: &one.tracked.as_ref()?.motion.trajectory.frames }))
-        .collect();
-    montages(plan, patient, images, clock, &motions)
+    let shown = finished(tried).filter(is_shown);
+    shown.filter_map(|one| Some(NamedMotion { name: one.mode.name, frames: &one.tracked.as_ref()?.motion.trajectory.frames })).collect()
+}
+
+fn draw(scene: &ImageScene, contours_ml: &[f64], tried: &[Tried]) -> Result<(), RunError> {
+    let folder = &scene.plan.output.directory;
+    volume_curves(&folder.join("volume_lv.png"), &volume_figure(scene.clock, contours_ml, tried))?;
+    time_curves(&folder.join("base.png"), &base_figure(tried))?;
+    montages(scene)
+}
+
+fn leave_report(
+    scene: &ImageScene,
+    contours_ml: &[f64],
+    tried: &[Tried],
+    agreement: &[&AgreementRow],
+    account: Account<Summary>,
+) -> Result<(), RunError> {
+    let volumes = Block::Plot(Plot::from(&volume_figure(scene.clock, contours_ml, tried)));
+    let base = Block::Plot(Plot::from(&base_figure(tried)));
+    let compared = Section {
+        title: "The bases side by side".into(),
+        blocks: vec![Block::Beside(vec![volumes, base]), Block::Table(Table::of_rows("Every base", account.record.modes))],
+    };
+    let mut sections = vec![compared];
+    let mut times_s = Vec::new();
+    if let Some(motion) = scene.motions.first() {
+        let frames = Frames::of(scene.clock, motion.frames);
+        let montage = every_frame(scene, &frames.places)?;
+        sections.push(Section { title: "Through the beat".into(), blocks: vec![Block::Slices(Slices(montage))] });
+        times_s = frames.times_s;
+    }
+    sections.push(table_section("Against the labels", "Every labelled frame", agreement));
+    leave_page(scene.plan, account, sections, times_s)
 }
 
 fn headline(row: &ModeRow) -> String {

@@ -10,6 +10,7 @@ use serde::Serialize;
 use super::error::RunError;
 use super::forward::heart_model;
 use super::gains::scaled_gains;
+use super::page::{Account, leave_page, table_section};
 use super::patient::{Patient, PatientImages};
 use super::synthetic::Truth;
 use super::track::tracker_settings;
@@ -17,6 +18,7 @@ use crate::heart::{FrameState, HeartState};
 use crate::mesh::SurfaceTag;
 use crate::numerics::root_mean_square;
 use crate::report::figures::{Curve, Look, TimeCurves, time_curves};
+use crate::report::html::{Block, Plot, Section, Table};
 use crate::report::{write_csv, write_json};
 use crate::study::plan::ModelPlan;
 use crate::study::{Kind, Outcome, Plan, Provenance, RunContext, Status};
@@ -162,12 +164,13 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     write_csv(&folder.join("cases.csv"), &tried.iter().map(|one| &one.row).collect::<Vec<_>>())?;
     write_csv(&folder.join("rmse.csv"), &as_written.iter().flat_map(|one| &one.frames).collect::<Vec<_>>())?;
     write_csv(&folder.join("speed.csv"), &as_written.iter().flat_map(|one| &one.speeds).collect::<Vec<_>>())?;
+    let figures = figures(as_written);
     if plan.output.figures {
-        draw(plan, as_written)?;
+        figures.iter().try_for_each(|(file, figure)| time_curves(&folder.join(file), figure))?;
     }
     let schemes: Vec<CaseRow> = as_written.iter().map(|one| one.row.clone()).collect();
     let status = if context.is_stopped() { Status::Stopped } else { Status::Converged };
-    let headlines = schemes.iter().map(headline).collect();
+    let headlines: Vec<String> = schemes.iter().map(headline).collect();
     let summary = Summary {
         kind: plan.kind,
         status,
@@ -178,6 +181,8 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
         provenance: &plan.provenance,
     };
     write_json(&folder.join("summary.json"), &summary)?;
+    let account = Account { status, headlines: &headlines, warnings: summary.warnings, key_figures: Vec::new(), record: &summary };
+    leave_report(plan, &tried, &figures, account)?;
     context.progress().finish();
     Ok(Outcome { status, directory: folder.clone(), headlines })
 }
@@ -346,24 +351,46 @@ impl Watch {
     }
 }
 
-fn draw(plan: &Plan, as_written: &[Tried]) -> Result<(), RunError> {
-    let folder = &plan.output.directory;
+/// What there is to draw, with the names of the files: distances from the truth, speeds of the endocardia.
+fn figures(as_written: &[Tried]) -> Vec<(&'static str, TimeCurves)> {
     let curves = |points: fn(&Tried) -> Vec<(f64, f64)>| {
         let of = |one: &Tried| Curve { name: one.row.scheme.name().into(), look: one.row.scheme.look(), points: points(one) };
         as_written.iter().map(of).filter(|curve| !curve.points.is_empty()).collect::<Vec<_>>()
     };
-    let rmse = curves(|one| one.frames.iter().map(|frame| (frame.time_s, frame.rmse_mm)).collect());
-    let title = "Distance of the tracked heart from the truth".into();
-    time_curves(&folder.join("rmse.png"), &TimeCurves { title, quantity: "RMSE of all vertices (mm)".into(), curves: rmse })?;
-    let speed = curves(|one| one.speeds.iter().map(|row| (row.time_s, row.endocardium_speed_rms_mm_per_s)).collect());
-    let title = "Speed of the tracked endocardium".into();
-    time_curves(&folder.join("speed.png"), &TimeCurves { title, quantity: "RMS speed (mm/s)".into(), curves: speed })?;
-    let right = curves(|one| one.speeds.iter().filter_map(|row| Some((row.time_s, row.endocardium_rv_speed_rms_mm_per_s?))).collect());
-    if right.is_empty() {
-        return Ok(());
-    }
-    let title = "Speed of the tracked endocardium of the right ventricle".into();
-    Ok(time_curves(&folder.join("speed_rv.png"), &TimeCurves { title, quantity: "RMS speed (mm/s)".into(), curves: right })?)
+    let speeds = |of: &str| format!("Speed of the tracked endocardium{of}");
+    let figures = [
+        (
+            "rmse.png",
+            "Distance of the tracked heart from the truth".into(),
+            "RMSE of all vertices (mm)",
+            curves(|one| one.frames.iter().map(|frame| (frame.time_s, frame.rmse_mm)).collect()),
+        ),
+        (
+            "speed.png",
+            speeds(""),
+            "RMS speed (mm/s)",
+            curves(|one| one.speeds.iter().map(|row| (row.time_s, row.endocardium_speed_rms_mm_per_s)).collect()),
+        ),
+        (
+            "speed_rv.png",
+            speeds(" of the right ventricle"),
+            "RMS speed (mm/s)",
+            curves(|one| one.speeds.iter().filter_map(|row| Some((row.time_s, row.endocardium_rv_speed_rms_mm_per_s?))).collect()),
+        ),
+    ];
+    let figures = figures.into_iter().filter(|(file, .., curves)| *file != "speed_rv.png" || !curves.is_empty());
+    figures.map(|(file, title, quantity, curves)| (file, TimeCurves { title, quantity: quantity.into(), curves })).collect()
+}
+
+fn leave_report(plan: &Plan, tried: &[Tried], figures: &[(&str, TimeCurves)], account: Account<Summary>) -> Result<(), RunError> {
+    let plots = figures.iter().map(|(_, figure)| Block::Plot(Plot::from(figure))).collect();
+    let cases: Vec<&CaseRow> = tried.iter().map(|one| &one.row).collect();
+    let as_written = Table::of_rows("The schemes at the step and gains as written", &account.record.schemes);
+    let sections = vec![
+        Section { title: "The schemes side by side".into(), blocks: vec![Block::Beside(plots), Block::Table(as_written)] },
+        table_section("Every step and gain", "All cases", &cases),
+    ];
+    leave_page(plan, account, sections, Vec::new())
 }
 
 fn headline(row: &CaseRow) -> String {

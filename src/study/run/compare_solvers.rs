@@ -8,6 +8,7 @@ use super::calibration::residual;
 use super::error::RunError;
 use super::forward::heart_model;
 use super::measured::measured_volumes;
+use super::page::{Account, leave_page};
 use super::patient::Patient;
 use super::personal_tables::iteration_rows;
 use super::personalise::status_of;
@@ -16,6 +17,7 @@ use super::start::start_space;
 use super::track::track_patient;
 use crate::personalisation::{ParameterSpace, SearchMethod};
 use crate::report::figures::{Convergence, SolverCurve, convergence};
+use crate::report::html::{Block, Plot, Section, Table};
 use crate::report::{write_csv, write_iterations, write_json};
 use crate::study::{Choice, Kind, Outcome, Plan, Provenance, RunContext, Status};
 
@@ -92,12 +94,12 @@ fn leave(plan: &Plan, space: &ParameterSpace, found: &[(SearchMethod, Found, f64
         let file = folder.join(format!("iterations_{}.csv", method.word()));
         write_iterations(&file, &space.names(), &iteration_rows(&one.calibration.records, space))?;
     }
+    let curve = |(method, one, _): &(SearchMethod, Found, f64)| {
+        let reached = one.calibration.records.iter().filter(|record| record.cost.is_finite());
+        SolverCurve { name: method.word().to_owned(), points: reached.map(|record| (record.spent, record.cost)).collect() }
+    };
+    let figure = Convergence { title: "Cost over simulations".into(), solvers: found.iter().map(curve).collect() };
     if plan.output.figures {
-        let curve = |(method, one, _): &(SearchMethod, Found, f64)| {
-            let reached = one.calibration.records.iter().filter(|record| record.cost.is_finite());
-            SolverCurve { name: method.word().to_owned(), points: reached.map(|record| (record.spent, record.cost)).collect() }
-        };
-        let figure = Convergence { title: "Cost over simulations".into(), solvers: found.iter().map(curve).collect() };
         convergence(&folder.join("convergence.png"), &figure)?;
     }
     let headlines = rows.iter().map(|row| {
@@ -107,7 +109,7 @@ fn leave(plan: &Plan, space: &ParameterSpace, found: &[(SearchMethod, Found, f64
             row.solver, row.cost, row.simulations, row.status
         )
     });
-    let headlines = headlines.collect();
+    let headlines: Vec<String> = headlines.collect();
     let status = found.first().map_or(Status::Failed, |(_, one, _)| status_of(&one.calibration.outcome));
     let summary = SolversSummary {
         kind: plan.kind,
@@ -120,6 +122,9 @@ fn leave(plan: &Plan, space: &ParameterSpace, found: &[(SearchMethod, Found, f64
         provenance: &plan.provenance,
     };
     write_json(&folder.join("summary.json"), &summary)?;
+    let blocks = vec![Block::Plot(Plot::from(&figure)), Block::Table(Table::of_rows("Every solver", &rows))];
+    let account = Account { status, headlines: &headlines, warnings: &[], key_figures: Vec::new(), record: &summary };
+    leave_page(plan, account, vec![Section { title: "The solvers side by side".into(), blocks }], Vec::new())?;
     Ok(Outcome { status, directory: folder.clone(), headlines })
 }
 

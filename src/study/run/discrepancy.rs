@@ -62,6 +62,28 @@ pub(super) fn work_magnitude_mj(motion: &TrackedMotion) -> f64 {
     motion.work.iter().map(|work| work.magnitude_uj).sum::<f64>() / 1000.0
 }
 
+/// Magnitudes of the work of the image forces by AHA segment, added up over the beat, mJ.
+pub(super) fn segment_work_mj(anatomy: &Anatomy, motion: &TrackedMotion) -> Vec<(u8, f64)> {
+    let number = |part: &str| part.strip_prefix("segment_")?.parse().ok();
+    added_up_mj(anatomy, motion, number).into_iter().collect()
+}
+
+/// The same by region.
+pub(super) fn region_work_mj(anatomy: &Anatomy, motion: &TrackedMotion) -> Vec<(String, f64)> {
+    let name = |part: &str| (!part.starts_with("segment_")).then(|| part.to_owned());
+    added_up_mj(anatomy, motion, name).into_iter().collect()
+}
+
+fn added_up_mj<K: Ord>(anatomy: &Anatomy, motion: &TrackedMotion, key: impl Fn(&str) -> Option<K>) -> BTreeMap<K, f64> {
+    let mut sums = BTreeMap::new();
+    for row in work_rows(anatomy, &motion.work) {
+        if let Some(key) = key(&row.part) {
+            *sums.entry(key).or_insert(0.0) += row.work_magnitude_uj / 1000.0;
+        }
+    }
+    sums
+}
+
 fn surface_name(tag: SurfaceTag) -> &'static str {
     match tag {
         SurfaceTag::EndocardiumLv => "endocardium_lv",

@@ -12,7 +12,7 @@ use crate::units::MS_PER_S;
 
 /// A row of `beats.csv`.
 #[derive(Debug, Clone, Serialize)]
-struct BeatRow {
+pub(super) struct BeatRow {
     beat: usize,
     start_s: f64,
     end_s: f64,
@@ -29,6 +29,11 @@ struct BeatRow {
 
 /// Writes the beats of a trajectory.
 pub(super) fn write_each_beat(folder: &Path, model: &HeartModel, trajectory: &Trajectory) -> Result<(), RunError> {
+    Ok(write_csv(&folder.join("beats.csv"), &beat_rows(model, trajectory))?)
+}
+
+/// The beats of a trajectory.
+pub(super) fn beat_rows(model: &HeartModel, trajectory: &Trajectory) -> Vec<BeatRow> {
     let beats_of = |ventricle| EachBeat::of_rhythm(&trajectory.curves, model.rhythm(), ventricle);
     let (left, right) = (beats_of(Ventricle::Left), beats_of(Ventricle::Right));
     let row = |beat: usize| {
@@ -49,6 +54,5 @@ pub(super) fn write_each_beat(folder: &Path, model: &HeartModel, trajectory: &Tr
             pressure_peak_rv_mmhg: rv.map(|b| b.pressure_peak_mmhg),
         })
     };
-    let rows: Vec<BeatRow> = (0..left.len().max(right.len())).filter_map(row).collect();
-    Ok(write_csv(&folder.join("beats.csv"), &rows)?)
+    (0..left.len().max(right.len())).filter_map(row).collect()
 }

@@ -8,7 +8,8 @@ use serde::Serialize;
 
 use super::error::RunError;
 use super::mesh_file::anatomy_of_file;
-use super::mesh_overlays::draw_overlays;
+use super::mesh_overlays::{Overlays, draw_overlays};
+use super::page::{Account, leave_page, resting_heart, table_section};
 use super::patient::{anatomy_settings, biventricular_anatomy, idealised_anatomy};
 use crate::anatomy::mesher::MesherSettings;
 use crate::anatomy::{Anatomy, Region, Ventricle, build_from_fields};
@@ -17,6 +18,7 @@ use crate::image::{HeartFields, Volume, heart_fields};
 use crate::mesh::io::{FieldValues, write_mesh_file};
 use crate::mesh::{MeshQuality, SurfaceTag};
 use crate::numerics::quantile;
+use crate::report::html::{Block, KeyFigure, Section, Slices, readable};
 use crate::report::{create_folder, write_json};
 use crate::study::cine::StudyCine;
 use crate::study::drawn_heart::DrawnHeart;
@@ -144,6 +146,17 @@ fn read_drawn(plan: &Plan, drawn: &LabelsPlan) -> Result<(DrawnHeart, Option<Stu
 /// # Errors
 /// [`RunError`] names the room that failed, with its reason and remedy.
 pub fn mesh_heart(plan: &Plan, file: &Path, figures: Option<&Path>, context: &RunContext) -> Result<MeshReport, RunError> {
+    let (_, report, overlays) = meshed(plan, file, context)?;
+    if let Some(folder) = figures {
+        create_folder(folder)?;
+        draw_overlays(folder, &overlays)?;
+    }
+    context.progress().finish();
+    Ok(report)
+}
+
+/// The heart of a plan, written to `file`, with what it is worth and its contours on the images.
+fn meshed(plan: &Plan, file: &Path, context: &RunContext) -> Result<(RestingHeart, MeshReport, Overlays), RunError> {
     let heart = RestingHeart::new(plan, context)?;
     context.progress().stage("writing results", None);
     if let Some(folder) = file.parent().filter(|folder| !folder.as_os_str().is_empty()) {
@@ -151,24 +164,48 @@ pub fn mesh_heart(plan: &Plan, file: &Path, figures: Option<&Path>, context: &Ru
     }
     write_heart(file, &heart.anatomy)?;
     let mut report = report_of(&heart);
-    if let (Some(folder), Some(ImageSource::Cine(images))) = (figures, &plan.images) {
-        create_folder(folder)?;
-        report.warnings.extend(draw_overlays(folder, images, &heart)?);
+    let mut overlays = Overlays::default();
+    if let Some(ImageSource::Cine(images)) = &plan.images {
+        overlays = Overlays::new(images, &heart)?;
+        report.warnings.extend(overlays.warnings.iter().cloned());
     }
-    context.progress().finish();
-    Ok(report)
+    Ok((heart, report, overlays))
 }
 
 /// Meshes the plan's heart into its folder.
 pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
     let started = Instant::now();
     let folder = &plan.output.directory;
-    let report = mesh_heart(plan, &folder.join("heart.vtu"), plan.output.figures.then_some(folder), context)?;
+    let (heart, report, overlays) = meshed(plan, &folder.join("heart.vtu"), context)?;
+    if plan.output.figures {
+        draw_overlays(folder, &overlays)?;
+    }
     let status = Status::Converged;
     let wall_time_s = started.elapsed().as_secs_f64();
     let summary = Summary { kind: plan.kind, status, report: &report, wall_time_s, provenance: &plan.provenance };
     write_json(&folder.join("summary.json"), &summary)?;
-    Ok(Outcome { status, directory: folder.clone(), headlines: report.lines() })
+    let headlines = report.lines();
+    let account = Account { status, headlines: &[], warnings: &report.warnings, key_figures: report.key_figures(), record: &summary };
+    leave_report(plan, &heart.anatomy, &report, overlays, account)?;
+    context.progress().finish();
+    Ok(Outcome { status, directory: folder.clone(), headlines })
+}
+
+fn leave_report(
+    plan: &Plan,
+    anatomy: &Anatomy,
+    report: &MeshReport,
+    overlays: Overlays,
+    account: Account<Summary>,
+) -> Result<(), RunError> {
+    let slices = overlays.for_page().map(|montage| vec![Block::Slices(Slices(montage))]).unwrap_or_default();
+    let sections = vec![
+        Section { title: "On the images".into(), blocks: slices },
+        Section { title: "The mesh".into(), blocks: vec![Block::Heart(resting_heart(anatomy))] },
+        table_section("Volumes", "The mesh and the masks", &report.volumes),
+        table_section("Surfaces", "Distances from what was drawn", &report.surfaces),
+    ];
+    leave_page(plan, account, sections, Vec::new())
 }
 
 /// Writes the mesh with its tags, depth, fibres, sheets, regions and segments; lengths are mm.
@@ -263,6 +300,22 @@ fn distance(anatomy: &Anatomy, surface: &'static str, tag: SurfaceTag, field: &V
 }
 
 impl MeshReport {
+    fn key_figures(&self) -> Vec<KeyFigure> {
+        let figure = |name: String, value: f64, unit: &str, beside| KeyFigure { name, value: readable(value), unit: unit.into(), beside };
+        let volume = |volume: &PartVolume| {
+            let masks = volume.masks_ml.map(|masks_ml| format!("masks: {} mL", readable(masks_ml)));
+            figure(volume.part.replace('_', " "), volume.mesh_ml, "mL", masks)
+        };
+        let quality = &self.quality;
+        let own = [
+            figure("Vertices".into(), quality.vertex_count as f64, "", None),
+            figure("Tetrahedra".into(), quality.tetrahedron_count as f64, "", None),
+            figure("Mean edge".into(), quality.edge_mean_mm, "mm", None),
+            figure("Least dihedral angle".into(), quality.dihedral_least_deg, "°", None),
+        ];
+        own.into_iter().chain(self.volumes.iter().map(volume)).collect()
+    }
+
     /// What people want to know of it, a topic a line.
     pub fn lines(&self) -> Vec<String> {
         let quality = &self.quality;

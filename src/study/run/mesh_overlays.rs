@@ -26,24 +26,47 @@ const SURFACES: [(SurfaceTag, &str); 4] = [
     (SurfaceTag::Base, "base"),
 ];
 
-/// Draws `slices.png` and, of further views, `long_axis.png`, `long_axis_2.png`, …; what is odd about the views, in words.
-pub(super) fn draw_overlays(folder: &Path, images: &ImagesPlan, heart: &RestingHeart) -> Result<Vec<String>, RunError> {
-    let Some((study, frame)) = &heart.study else { return Ok(Vec::new()) };
-    let mut warnings = Vec::new();
-    let time_s = study.cine.times_s().get(*frame).copied().unwrap_or_default();
-    draw(&folder.join("slices.png"), "Short axis, frame of the labels", &study.cine, *frame, heart, true)?;
-    for (number, CineReading { cine, warnings: odd }) in study.read_long_axis(images)?.into_iter().enumerate() {
-        warnings.extend(odd);
-        let name = if number == 0 { "long_axis.png".to_string() } else { format!("long_axis_{}.png", number + 1) };
-        let (earlier, later, weight) = cine.frames_around(time_s);
-        draw(&folder.join(name), "Long axis, same phase", &cine, if weight < 0.5 { earlier } else { later }, heart, false)?;
-    }
-    Ok(warnings)
+/// The contours on the slices of the labels' frame and on every further view, with what is odd about the views, in words.
+#[derive(Default)]
+pub(super) struct Overlays {
+    /// By the names of their files.
+    montages: Vec<(String, Montage)>,
+    pub(super) warnings: Vec<String>,
 }
 
-fn draw(file: &Path, title: &str, cine: &CineSequence, frame: usize, heart: &RestingHeart, has_labels: bool) -> Result<(), RunError> {
+impl Overlays {
+    /// The overlays of a heart that was drawn on images; none of any other.
+    pub(super) fn new(images: &ImagesPlan, heart: &RestingHeart) -> Result<Self, RunError> {
+        let Some((study, frame)) = &heart.study else { return Ok(Self::default()) };
+        let (mut montages, mut warnings) = (Vec::new(), Vec::new());
+        let time_s = study.cine.times_s().get(*frame).copied().unwrap_or_default();
+        montages.extend(overlay("Short axis, frame of the labels", &study.cine, *frame, heart, true).map(|one| ("slices.png".into(), one)));
+        for (number, CineReading { cine, warnings: odd }) in study.read_long_axis(images)?.into_iter().enumerate() {
+            warnings.extend(odd);
+            let name = if number == 0 { "long_axis.png".to_string() } else { format!("long_axis_{}.png", number + 1) };
+            let (earlier, later, weight) = cine.frames_around(time_s);
+            let frame = if weight < 0.5 { earlier } else { later };
+            montages.extend(overlay("Long axis, same phase", &cine, frame, heart, false).map(|one| (name, one)));
+        }
+        Ok(Self { montages, warnings })
+    }
+
+    /// The slices of the short axis, one a row, as a page shows them.
+    pub(super) fn for_page(self) -> Option<Montage> {
+        let (_, montage) = self.montages.into_iter().next()?;
+        let row_titles = (1..=montage.panels.len()).map(|n| format!("Short axis, {n} of {}", montage.panels.len())).collect();
+        Some(Montage { row_titles, column_titles: vec![String::new()], ..montage })
+    }
+}
+
+/// Draws `slices.png` and, of further views, `long_axis.png`, `long_axis_2.png`, ….
+pub(super) fn draw_overlays(folder: &Path, overlays: &Overlays) -> Result<(), RunError> {
+    overlays.montages.iter().try_for_each(|(name, montage)| Ok(slice_montage(&folder.join(name), montage)?))
+}
+
+fn overlay(title: &str, cine: &CineSequence, frame: usize, heart: &RestingHeart, has_labels: bool) -> Option<Montage> {
     let (anatomy, grid) = (&heart.anatomy, cine.grid());
-    let Some([first, last]) = slices_of(anatomy, grid) else { return Ok(()) };
+    let [first, last] = slices_of(anatomy, grid)?;
     let count = last - first + 1;
     let columns = COLUMNS.min(count);
     let rows = (count / columns).clamp(1, ROWS_MAX);
@@ -68,13 +91,12 @@ fn draw(file: &Path, title: &str, cine: &CineSequence, frame: usize, heart: &Res
     }
     let shown: Vec<f64> = panels.iter().flat_map(|panel| panel.intensity.iter().copied()).collect();
     let (black, white) = (quantile(&shown, 0.0).unwrap_or(0.0), quantile(&shown, 1.0 - WHITE_SHARE).unwrap_or(1.0));
-    let figure = Montage {
+    Some(Montage {
         title: title.to_owned(),
         surfaces: layers.iter().map(|(name, _)| name.to_string()).collect(),
         column_titles: vec![String::new(); columns],
         row_titles: chosen.chunks(columns).map(|row| format!("slices {} to {}", row[0], row[row.len() - 1])).collect(),
         panels,
         window: (black, white.max(black + 1.0)),
-    };
-    Ok(slice_montage(file, &figure)?)
+    })
 }

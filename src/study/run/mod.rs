@@ -20,6 +20,7 @@ mod mesh_file;
 mod mesh_only;
 mod mesh_overlays;
 mod montages;
+mod page;
 mod parameter_rows;
 mod patient;
 mod personal_tables;

@@ -20,6 +20,15 @@ pub(super) struct NamedMotion<'a> {
     pub(super) frames: &'a [FrameState],
 }
 
+/// Images with the motions that are drawn on them.
+pub(super) struct ImageScene<'a> {
+    pub(super) plan: &'a Plan,
+    pub(super) patient: &'a Patient,
+    pub(super) images: &'a PatientImages,
+    pub(super) clock: &'a Clock,
+    pub(super) motions: &'a [NamedMotion<'a>],
+}
+
 /// A row of a montage: one slice of one view.
 struct Row<'a> {
     view: &'a CineSequence,
@@ -29,45 +38,63 @@ struct Row<'a> {
 
 /// Slices of the short axis and of every further view at several times of the beat, with the surfaces of each motion on them, and the
 /// cavity's outline where labels of that frame judge the result. Without further views the long axis is cut out of the short-axis stack.
-pub(super) fn montages(
-    plan: &Plan,
-    patient: &Patient,
-    images: &PatientImages,
-    clock: &Clock,
-    motions: &[NamedMotion],
-) -> Result<(), RunError> {
-    let draw = |rows: &[Row], file: &str, title: &str| montage(plan, patient, images, clock, motions, (rows, file, title));
-    draw(&short_axis_rows(patient, images, plan.output.montage_slices), "slices.png", "Short axis through the beat")?;
-    for (number, view) in images.long_axis.iter().enumerate() {
+pub(super) fn montages(scene: &ImageScene) -> Result<(), RunError> {
+    let times = time_choice(scene.clock, scene.images, scene.motions, scene.plan.output.montage_times);
+    let draw = |rows: &[Row], file: &str, title: &str| -> Result<(), RunError> {
+        Ok(slice_montage(&scene.plan.output.directory.join(file), &montage(scene, rows, &times, title))?)
+    };
+    draw(&short_axis_rows(scene), "slices.png", "Short axis through the beat")?;
+    for (number, view) in scene.images.long_axis.iter().enumerate() {
         let file = if number == 0 { "long_axis.png".to_string() } else { format!("long_axis_{}.png", number + 1) };
-        let place_mm = |slice: usize| format!("{:.0} mm", slice as f64 * view.grid().spacing_mm().z);
-        let slices = slice_choice(patient, view, plan.output.montage_slices).into_iter();
-        let rows: Vec<Row> = slices.map(|slice| Row { view, slice, title: place_mm(slice) }).collect();
-        draw(&rows, &file, "Long axis through the beat")?;
+        draw(&long_axis_rows(scene, view, scene.plan.output.montage_slices), &file, "Long axis through the beat")?;
     }
-    if images.long_axis.is_empty() {
-        let axes = &patient.anatomy.axes;
-        let across = axes.long_axis.cross(&axes.septal_direction);
-        let through_septum = long_axis_plane(patient, &images.cine, &-axes.septal_direction)?;
-        let beside_septum = long_axis_plane(patient, &images.cine, &across)?;
-        let rows = [(&through_septum, "septum on the left"), (&beside_septum, "inferior wall on the left")];
-        let rows = rows.map(|(view, title)| Row { view, slice: 0, title: title.into() });
-        draw(&rows, "long_axis.png", "Long axis through the beat, cut out of the short-axis stack")?;
+    if scene.images.long_axis.is_empty() {
+        let planes = long_axis_planes(scene)?;
+        draw(&plane_rows(&planes), "long_axis.png", "Long axis through the beat, cut out of the short-axis stack")?;
     }
     Ok(())
 }
 
+/// The same slices at the frames `places`: short axis, then long axis, the middle slice of every further view.
+pub(super) fn every_frame(scene: &ImageScene, places: &[usize]) -> Result<Montage, RunError> {
+    let named = |axis: &'static str| move |row: Row<'_>| format!("{axis}, {}", row.title);
+    let short = short_axis_rows(scene).into_iter().map(|row| (row.view, row.slice, named("Short axis")(row)));
+    let planes = if scene.images.long_axis.is_empty() { long_axis_planes(scene)? } else { Vec::new() };
+    let views = scene.images.long_axis.iter().flat_map(|view| long_axis_rows(scene, view, 1));
+    let long = views.chain(plane_rows(&planes)).map(|row| (row.view, row.slice, named("Long axis")(row)));
+    let rows: Vec<Row> = short.chain(long).map(|(view, slice, title)| Row { view, slice, title }).collect();
+    Ok(montage(scene, &rows, places, "Through the beat"))
+}
+
+fn long_axis_rows<'a>(scene: &ImageScene, view: &'a CineSequence, count: usize) -> Vec<Row<'a>> {
+    let place_mm = |slice: usize| format!("{:.0} mm", slice as f64 * view.grid().spacing_mm().z);
+    slice_choice(scene.patient, view, count).into_iter().map(|slice| Row { view, slice, title: place_mm(slice) }).collect()
+}
+
+/// Two planes through the long axis, cut out of the short-axis stack, with what lies where.
+fn long_axis_planes(scene: &ImageScene) -> Result<Vec<(CineSequence, &'static str)>, RunError> {
+    let axes = &scene.patient.anatomy.axes;
+    let across = axes.long_axis.cross(&axes.septal_direction);
+    let through_septum = long_axis_plane(scene.patient, &scene.images.cine, &-axes.septal_direction)?;
+    let beside_septum = long_axis_plane(scene.patient, &scene.images.cine, &across)?;
+    Ok(vec![(through_septum, "septum on the left"), (beside_septum, "inferior wall on the left")])
+}
+
+fn plane_rows<'a>(planes: &'a [(CineSequence, &'static str)]) -> Vec<Row<'a>> {
+    planes.iter().map(|(view, title)| Row { view, slice: 0, title: (*title).into() }).collect()
+}
+
 /// One row a slice of the short axis as acquired, in which the resampled images are sharpest.
-fn short_axis_rows<'a>(patient: &Patient, images: &'a PatientImages, count: usize) -> Vec<Row<'a>> {
-    let view = &images.cine;
+fn short_axis_rows<'a>(scene: &ImageScene<'a>) -> Vec<Row<'a>> {
+    let view = &scene.images.cine;
     let step_mm = view.grid().spacing_mm().z;
-    let acquired = images.slice_distance_mm / step_mm;
+    let acquired = scene.images.slice_distance_mm / step_mm;
     let row = |chosen: usize| {
         let slice = ((chosen as f64 / acquired).round() * acquired).round() as usize;
         let slice = slice.min(view.grid().shape()[2] - 1);
         Row { view, slice, title: format!("{:.0} mm", slice as f64 * step_mm) }
     };
-    slice_choice(patient, view, count).into_iter().map(row).collect()
+    slice_choice(scene.patient, view, scene.plan.output.montage_slices).into_iter().map(row).collect()
 }
 
 /// The cine on the plane through the long axis that also holds `rightward`, apex down, voxels of 1 mm; black where no slice reaches.
@@ -96,22 +123,15 @@ fn long_axis_plane(patient: &Patient, cine: &CineSequence, rightward: &Vector3<f
     Ok(CineSequence::new(frames, cine.times_s().to_vec(), cine.period_s())?)
 }
 
-/// Rows of slices at several times of the beat, with the endocardia and epicardium of each motion on them.
-fn montage(
-    plan: &Plan,
-    patient: &Patient,
-    images: &PatientImages,
-    clock: &Clock,
-    motions: &[NamedMotion],
-    (rows, file, title): (&[Row], &str, &str),
-) -> Result<(), RunError> {
-    let times = time_choice(clock, images, motions, plan.output.montage_times);
+/// Rows of slices at the frames `times`, with the endocardia and epicardium of each motion on them.
+fn montage(scene: &ImageScene, rows: &[Row], times: &[usize], title: &str) -> Montage {
+    let &ImageScene { patient, images, clock, motions, .. } = scene;
     let tags = [SurfaceTag::EndocardiumLv, SurfaceTag::EndocardiumRv, SurfaceTag::Epicardium];
     let mut panels = Vec::with_capacity(rows.len() * times.len());
     let mut surfaces: Vec<String> = motions.iter().map(|motion| motion.name.to_owned()).collect();
     for Row { view, slice, .. } in rows {
         let window = window_around(&patient.anatomy, view.grid());
-        for &place in &times {
+        for &place in times {
             let mut panel = panel(view, nearest_frame(view, clock.times_s[place]), *slice, window);
             for (surface, motion) in motions.iter().enumerate() {
                 let Some(state) = motion.frames.get(place) else { continue };
@@ -129,15 +149,14 @@ fn montage(
             panels.push(panel);
         }
     }
-    let figure = Montage {
+    Montage {
         title: title.to_owned(),
         surfaces,
         column_titles: times.iter().map(|&place| format!("{:.0} ms", clock.times_s[place] * MS_PER_S)).collect(),
         row_titles: rows.iter().map(|row| row.title.clone()).collect(),
         panels,
         window: (0.0, 255.0),
-    };
-    Ok(slice_montage(&plan.output.directory.join(file), &figure)?)
+    }
 }
 
 /// The outline of the labelled cavity in a slice of the short axis, where labels of the frame judge the result.

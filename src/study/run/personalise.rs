@@ -15,7 +15,10 @@ use super::forward::{beat, frame_volumes_lv_ml, heart_model, step_count};
 use super::gains::boundary_rms_mm;
 use super::leave::{BeatSummary, FrameRow, Summary, frame_rows, write_base_motion, write_beat, write_series};
 use super::measured::{MeasuredVolumes, measured_volumes};
-use super::montages::{NamedMotion, montages};
+use super::montages::{ImageScene, NamedMotion, montages};
+use super::page::{
+    Account, Colouring, Frames, beat_section, key_figures, leave_page, motion_section, personal_sections, tracking_section, wall_section,
+};
 use super::parameter_rows::{interval, parameter_rows};
 use super::patient::{Patient, PatientImages};
 use super::personal_tables::{verdict, write_tables};
@@ -337,7 +340,63 @@ fn leave(scene: &Scene, tracked: &Tracked, found: &Personalised, started: Instan
         provenance: &plan.provenance,
     };
     write_json(&folder.join("summary.json"), &summary)?;
+    let account = Account {
+        status,
+        headlines: &headlines,
+        warnings: summary.warnings,
+        key_figures: key_figures(&summary.beat, Some((measured.largest_ml, measured.smallest_ml))),
+        record: &summary,
+    };
+    leave_report(scene, tracked, found, &parameters, account)?;
     Ok(Outcome { status, directory: folder.clone(), headlines })
+}
+
+fn leave_report(
+    scene: &Scene,
+    tracked: &Tracked,
+    found: &Personalised,
+    parameters: &[ParameterRow],
+    account: Account<Summary<Details>>,
+) -> Result<(), RunError> {
+    let &Scene { plan, patient, images, clock, .. } = scene;
+    let anatomy = &patient.anatomy;
+    let frames = Frames::of(clock, &found.fitted.frames);
+    let motions = motions(tracked, found);
+    let shown = ImageScene { plan, patient, images, clock, motions: &motions };
+    let colouring = Colouring { anatomy, frames: &found.fitted.frames, model: Some((&found.model, &found.fitted)) };
+    let details = &account.record.details;
+    let [parameters, told, convergence] = personal_sections(found, parameters, details.recovery.as_ref());
+    let sections = vec![
+        parameters,
+        beat_section(clock, &found.fitted, &further_volumes(scene, tracked, found)),
+        motion_section(clock, &frames, Some(&shown), &colouring)?,
+        wall_section(&found.model, clock, &found.fitted),
+        tracking_section(anatomy, clock, tracked, &details.tracking, &details.validation),
+        told,
+        convergence,
+    ];
+    leave_page(plan, account, sections, frames.times_s)
+}
+
+/// The motions that are shown on the images.
+fn motions<'a>(tracked: &'a Tracked, found: &'a Personalised) -> [NamedMotion<'a>; 2] {
+    [
+        NamedMotion { name: "tracked", frames: &tracked.motion.trajectory.frames },
+        NamedMotion { name: "personalised model, no image forces", frames: &found.fitted.frames },
+    ]
+}
+
+/// The volumes that stand beside the model's.
+fn further_volumes(scene: &Scene, tracked: &Tracked, found: &Personalised) -> Vec<Curve> {
+    let times_s = &scene.clock.times_s;
+    let truth = scene.patient.truth.as_ref();
+    let mut further = vec![
+        Curve::new("model at its start", Look::Initial, times_s, &frame_volumes_lv_ml(&found.initial)),
+        Curve::new("tracked", Look::Tracked, times_s, &frame_volumes_lv_ml(&tracked.motion.trajectory)),
+        Curve::new("measured", Look::Measured, times_s, &found.measured.left_ml),
+    ];
+    further.extend(truth.map(|truth| Curve::new("truth", Look::Truth, times_s, &truth.volumes_lv_ml)));
+    further
 }
 
 /// The measured curve in three numbers.
@@ -387,19 +446,8 @@ fn headlines(details: &Details, parameters: &[ParameterRow]) -> Vec<String> {
 fn draw(scene: &Scene, tracked: &Tracked, found: &Personalised, recovery: Option<&Recovery>) -> Result<(), RunError> {
     let &Scene { plan, patient, images, clock, .. } = scene;
     let folder = &plan.output.directory;
-    let tracked_ml = frame_volumes_lv_ml(&tracked.motion.trajectory);
-    let mut further = vec![
-        Curve::new("model at its start", Look::Initial, &clock.times_s, &frame_volumes_lv_ml(&found.initial)),
-        Curve::new("tracked", Look::Tracked, &clock.times_s, &tracked_ml),
-        Curve::new("measured", Look::Measured, &clock.times_s, &found.measured.left_ml),
-    ];
-    further.extend(patient.truth.as_ref().map(|truth| Curve::new("truth", Look::Truth, &clock.times_s, &truth.volumes_lv_ml)));
-    pictures::beat(plan, clock, &found.fitted, &further)?;
-    let motions = [
-        NamedMotion { name: "tracked", frames: &tracked.motion.trajectory.frames },
-        NamedMotion { name: "personalised model, no image forces", frames: &found.fitted.frames },
-    ];
-    montages(plan, patient, images, clock, &motions)?;
+    pictures::beat(plan, clock, &found.fitted, &further_volumes(scene, tracked, found))?;
+    montages(&ImageScene { plan, patient, images, clock, motions: &motions(tracked, found) })?;
     let cost = found.found.calibration.records.iter().map(|record| record.cost).filter(|cost| cost.is_finite()).collect();
     cost_over_iterations(&folder.join("cost.png"), &CostHistory { title: "Cost of the calibration".into(), cost })?;
     let sought = parameter_rows(found, tracked, &patient.parameters).into_iter().filter(|row| row.state != "fixed");

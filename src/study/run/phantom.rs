@@ -9,14 +9,15 @@ use serde::Serialize;
 use super::error::RunError;
 use super::imaged_beat::{ImagedBeat, imaged_beat};
 use super::leave::{BeatSummary, frame_rows, write_beat, write_positions};
-use super::montages::{NamedMotion, montages};
+use super::montages::{ImageScene, NamedMotion, montages};
+use super::page::{Account, Colouring, Frames, beat_section, key_figures, leave_page, motion_section, wall_section};
 use super::patient::{Patient, PatientImages};
-use crate::anatomy::Ventricle;
 use crate::image::{PreprocessSettings, VolumeCurve, preprocess, write_cine, write_label_map, write_label_maps};
 use crate::mesh::MeshQuality;
 use crate::numerics::root_mean_square;
 use crate::phantom::{LABEL_CAVITY_LV, LABEL_CAVITY_RV};
 use crate::report::figures::{Curve, Look, VolumeCurves, volume_curves};
+use crate::report::html::{Block, Plot, Section};
 use crate::report::{write_atomically, write_csv, write_json};
 use crate::study::plan::{ImageSource, PhantomPlan};
 use crate::study::{Kind, Outcome, Plan, Provenance, RunContext, Status};
@@ -98,8 +99,15 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
         None if plan.output.meshes => write_positions(folder, "heart", &patient.anatomy, &beat.frames)?,
         None => {}
     }
+    let shown = shown_images(&beat)?;
+    let motions = [NamedMotion { name: "truth", frames: &beat.frames }];
+    let scene = ImageScene { plan, patient: &patient, images: &shown, clock: &beat.clock, motions: &motions };
     if plan.output.figures {
-        draw(plan, &patient, &beat, &rows)?;
+        for figure in volume_figures(&rows) {
+            let suffix = if figure.quantity.starts_with("LV") { "lv" } else { "rv" };
+            volume_curves(&folder.join(format!("volume_{suffix}.png")), &figure)?;
+        }
+        montages(&scene)?;
     }
     let images = images_summary(phantom, &beat, &rows, end_systolic_frame);
     let headlines = headlines(&images, &rows);
@@ -116,6 +124,14 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
         provenance: &plan.provenance,
     };
     write_json(&folder.join("summary.json"), &summary)?;
+    let account = Account {
+        status: Status::Converged,
+        headlines: &headlines,
+        warnings: summary.warnings,
+        key_figures: summary.beat.as_ref().map(|beat| key_figures(beat, None)).unwrap_or_default(),
+        record: &summary,
+    };
+    leave_report(&scene, &beat, &rows, account)?;
     context.progress().finish();
     Ok(Outcome { status: Status::Converged, directory: folder.clone(), headlines })
 }
@@ -177,31 +193,45 @@ fn images_summary(phantom: &PhantomPlan, beat: &ImagedBeat, rows: &[VolumeRow], 
     }
 }
 
-fn draw(plan: &Plan, patient: &Patient, beat: &ImagedBeat, rows: &[VolumeRow]) -> Result<(), RunError> {
+/// Volumes of the truth and of its labels, a ventricle each.
+fn volume_figures(rows: &[VolumeRow]) -> Vec<VolumeCurves> {
     let times_s: Vec<f64> = rows.iter().map(|row| row.time_s).collect();
     let of = |value: &dyn Fn(&VolumeRow) -> Option<f64>| rows.iter().filter_map(value).collect::<Vec<f64>>();
-    let left = (of(&|row| Some(row.volume_lv_ml)), of(&|row| Some(row.volume_labels_lv_ml)));
-    let right = (of(&|row| row.volume_rv_ml), of(&|row| row.volume_labels_rv_ml));
-    for (ventricle, (truth_ml, labels_ml)) in [(Ventricle::Left, left), (Ventricle::Right, right)] {
-        if truth_ml.is_empty() {
-            continue;
-        }
-        let (name, suffix) = if ventricle == Ventricle::Left { ("LV", "lv") } else { ("RV", "rv") };
+    let left = ("LV", of(&|row| Some(row.volume_lv_ml)), of(&|row| Some(row.volume_labels_lv_ml)));
+    let right = ("RV", of(&|row| row.volume_rv_ml), of(&|row| row.volume_labels_rv_ml));
+    let figure = |(name, truth_ml, labels_ml): (&str, Vec<f64>, Vec<f64>)| {
         let curves = vec![
             Curve::new("mesh", Look::Truth, &times_s, &truth_ml),
             Curve::new("counted in the labels", Look::Measured, &times_s, &labels_ml),
         ];
-        let figure = VolumeCurves { title: format!("{name} volume, truth and labels"), quantity: format!("{name} volume"), curves };
-        volume_curves(&plan.output.directory.join(format!("volume_{suffix}.png")), &figure)?;
-    }
-    let images = PatientImages {
+        let title = format!("{name} volume, truth and labels");
+        (!truth_ml.is_empty()).then(|| VolumeCurves { title, quantity: format!("{name} volume"), curves })
+    };
+    [left, right].into_iter().filter_map(figure).collect()
+}
+
+/// The images as a patient's would be prepared.
+fn shown_images(beat: &ImagedBeat) -> Result<PatientImages, RunError> {
+    Ok(PatientImages {
         cine: preprocess(&beat.imaged.cine, &PreprocessSettings::default())?,
         long_axis: Vec::new(),
         slice_distance_mm: beat.imaged.cine.grid().spacing_mm().z,
         reference_frame: 0,
         validation: Vec::new(),
-    };
-    montages(plan, patient, &images, &beat.clock, &[NamedMotion { name: "truth", frames: &beat.frames }])
+    })
+}
+
+fn leave_report(scene: &ImageScene, beat: &ImagedBeat, rows: &[VolumeRow], account: Account<Summary>) -> Result<(), RunError> {
+    let &ImageScene { plan, patient, clock, .. } = scene;
+    let frames = Frames::of(clock, &beat.frames);
+    let model = beat.model.as_ref().map(|(model, trajectory)| (model, trajectory));
+    let colouring = Colouring { anatomy: &patient.anatomy, frames: &beat.frames, model };
+    let plots: Vec<Block> = volume_figures(rows).iter().map(|figure| Block::Plot(Plot::from(figure))).collect();
+    let mut sections = vec![Section { title: "Truth and labels".into(), blocks: vec![Block::Beside(plots)] }];
+    sections.extend(model.map(|(_, trajectory)| beat_section(clock, trajectory, &[])));
+    sections.push(motion_section(clock, &frames, Some(scene), &colouring)?);
+    sections.extend(model.map(|(model, trajectory)| wall_section(model, clock, trajectory)));
+    leave_page(plan, account, sections, frames.times_s)
 }
 
 fn headlines(images: &ImagesSummary, rows: &[VolumeRow]) -> Vec<String> {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use crate::anatomy::Ventricle;
+use crate::anatomy::{Anatomy, Ventricle};
 use crate::circulation::Phase;
 use crate::heart::{BeatDeformation, HeartModel, Strain, Trajectory, phase_events};
 use crate::report::figures::{
@@ -16,42 +16,71 @@ use super::clock::Clock;
 use super::error::RunError;
 use super::forward::deformation;
 
-/// Volumes over the last beat, pressure–volume loop and pressures; `further` curves join the volumes.
+/// The figures of one ventricle in the last beat.
+pub(super) struct VentricleFigures {
+    pub(super) ventricle: Ventricle,
+    pub(super) volume: VolumeCurves,
+    pub(super) pressure_volume: PressureVolumeLoop,
+    pub(super) beat: BeatCurves,
+}
+
+/// Draws volumes over the last beat, pressure–volume loop and pressures; `further` curves join the volumes of the left ventricle.
 pub(super) fn beat(plan: &Plan, clock: &Clock, trajectory: &Trajectory, further: &[Curve]) -> Result<(), RunError> {
     let folder = &plan.output.directory;
-    for (ventricle, suffix, name, artery) in [(Ventricle::Left, "lv", "LV", "aorta"), (Ventricle::Right, "rv", "RV", "pulmonary artery")] {
-        let rows: Vec<_> = last_beat(clock, trajectory).filter_map(|row| Some((row.time_s, row.ventricle(ventricle)?))).collect();
-        if rows.is_empty() {
-            continue;
-        }
-        let trigger_s = clock.last_trigger_s();
-        let times_s: Vec<f64> = rows.iter().map(|(time_s, _)| time_s - trigger_s).collect();
-        let of = |value: fn(&crate::heart::VentricleCurve) -> f64| rows.iter().map(|(_, curve)| value(curve)).collect::<Vec<f64>>();
-        let (volume_ml, pressure_kpa) = (of(|c| c.volume_ml), of(|c| c.pressure_kpa));
-        let mut curves = vec![Curve::new("model", Look::Simulated, &times_s, &volume_ml)];
-        if ventricle == Ventricle::Left {
-            curves.extend(further.iter().map(|curve| later(curve, -trigger_s)));
-        }
-        let title = format!("{name} volume over the beat");
-        volume_curves(&folder.join(format!("volume_{suffix}.png")), &VolumeCurves { title, quantity: format!("{name} volume"), curves })?;
-        let title = format!("Pressure–volume loop, {name}");
-        let loops = vec![Curve::new("model", Look::Simulated, &volume_ml, &pressure_kpa)];
-        let figure = PressureVolumeLoop { title, ventricle: name.into(), loops, points: corners(&rows, ventricle) };
-        pressure_volume_loop(&folder.join(format!("pressure_volume_{suffix}.png")), &figure)?;
-        let pressures = vec![
-            Curve::new(format!("{name} cavity"), Look::Simulated, &times_s, &pressure_kpa),
-            Curve::new(artery, Look::Artery, &times_s, &of(|c| c.arterial_pressure_kpa)),
-            Curve::new("atrium", Look::Other, &times_s, &of(|c| c.atrial_pressure_kpa)),
-        ];
-        let figure = BeatCurves {
+    for figures in ventricle_figures(clock, trajectory, further) {
+        let suffix = if figures.ventricle == Ventricle::Left { "lv" } else { "rv" };
+        volume_curves(&folder.join(format!("volume_{suffix}.png")), &figures.volume)?;
+        pressure_volume_loop(&folder.join(format!("pressure_volume_{suffix}.png")), &figures.pressure_volume)?;
+        beat_curves(&folder.join(format!("beat_{suffix}.png")), &figures.beat)?;
+    }
+    Ok(())
+}
+
+/// What there is to draw of the last beat, a ventricle each.
+pub(super) fn ventricle_figures(clock: &Clock, trajectory: &Trajectory, further: &[Curve]) -> Vec<VentricleFigures> {
+    let ventricles = [(Ventricle::Left, "LV", "aorta"), (Ventricle::Right, "RV", "pulmonary artery")];
+    ventricles.into_iter().filter_map(|names| figures_of(clock, trajectory, further, names)).collect()
+}
+
+fn figures_of(
+    clock: &Clock,
+    trajectory: &Trajectory,
+    further: &[Curve],
+    (ventricle, name, artery): (Ventricle, &str, &str),
+) -> Option<VentricleFigures> {
+    let rows: Vec<_> = last_beat(clock, trajectory).filter_map(|row| Some((row.time_s, row.ventricle(ventricle)?))).collect();
+    if rows.is_empty() {
+        return None;
+    }
+    let trigger_s = clock.last_trigger_s();
+    let times_s: Vec<f64> = rows.iter().map(|(time_s, _)| time_s - trigger_s).collect();
+    let of = |value: fn(&crate::heart::VentricleCurve) -> f64| rows.iter().map(|(_, curve)| value(curve)).collect::<Vec<f64>>();
+    let (volume_ml, pressure_kpa) = (of(|c| c.volume_ml), of(|c| c.pressure_kpa));
+    let mut curves = vec![Curve::new("model", Look::Simulated, &times_s, &volume_ml)];
+    if ventricle == Ventricle::Left {
+        curves.extend(further.iter().map(|curve| later(curve, -trigger_s)));
+    }
+    let pressures = vec![
+        Curve::new(format!("{name} cavity"), Look::Simulated, &times_s, &pressure_kpa),
+        Curve::new(artery, Look::Artery, &times_s, &of(|c| c.arterial_pressure_kpa)),
+        Curve::new("atrium", Look::Other, &times_s, &of(|c| c.atrial_pressure_kpa)),
+    ];
+    Some(VentricleFigures {
+        ventricle,
+        volume: VolumeCurves { title: format!("{name} volume over the beat"), quantity: format!("{name} volume"), curves },
+        pressure_volume: PressureVolumeLoop {
+            title: format!("Pressure–volume loop, {name}"),
+            ventricle: name.into(),
+            loops: vec![Curve::new("model", Look::Simulated, &volume_ml, &pressure_kpa)],
+            points: corners(&rows, ventricle),
+        },
+        beat: BeatCurves {
             title: format!("The {name} over the beat"),
             pressures,
             volume: Curve::new(format!("{name} volume"), Look::Simulated, &times_s, &volume_ml),
             phases: bands(clock, trajectory, ventricle),
-        };
-        beat_curves(&folder.join(format!("beat_{suffix}.png")), &figure)?;
-    }
-    Ok(())
+        },
+    })
 }
 
 /// Pressures and volumes over all beats, where these are not all alike.
@@ -153,17 +182,6 @@ pub(super) fn activation(file: &Path, model: &HeartModel, title: &str) -> Result
 fn activation_map(model: &HeartModel, title: &str) -> SurfaceMap {
     const ISOCHRONES_MS: f64 = 10.0;
     let anatomy = model.anatomy();
-    let axes = &anatomy.axes;
-    let across = axes.long_axis.cross(&axes.septal_direction);
-    let view = |name: &str, side: nalgebra::Vector3<f64>| SurfaceView {
-        name: name.into(),
-        to_eye: side + axes.long_axis * 0.45,
-        up: axes.long_axis,
-    };
-    let views = match anatomy.cavities.len() {
-        1 => vec![view("septum on the left", across), view("septum on the right", -across)],
-        _ => vec![view("right ventricle on the left", across), view("right ventricle on the right", -across)],
-    };
     SurfaceMap {
         title: title.into(),
         quantity: "depolarisation time (ms)".into(),
@@ -171,12 +189,27 @@ fn activation_map(model: &HeartModel, title: &str) -> SurfaceMap {
         triangles: anatomy.surface.triangles().to_vec(),
         values: model.activation().times_s().iter().map(|time_s| time_s * MS_PER_S).collect(),
         band: ISOCHRONES_MS,
-        views,
+        views: views(anatomy),
+    }
+}
+
+/// Both sides of the plane through both ventricles, a little from above.
+pub(super) fn views(anatomy: &Anatomy) -> Vec<SurfaceView> {
+    let axes = &anatomy.axes;
+    let across = axes.long_axis.cross(&axes.septal_direction);
+    let view = |name: &str, side: nalgebra::Vector3<f64>| SurfaceView {
+        name: name.into(),
+        to_eye: side + axes.long_axis * 0.45,
+        up: axes.long_axis,
+    };
+    match anatomy.cavities.len() {
+        1 => vec![view("septum on the left", across), view("septum on the right", -across)],
+        _ => vec![view("right ventricle on the left", across), view("right ventricle on the right", -across)],
     }
 }
 
 /// The strain curves of the segments 1–16, by wall; the apical cap belongs to none.
-fn strains(beat: &BeatDeformation, trigger_s: f64) -> StrainCurves {
+pub(super) fn strains(beat: &BeatDeformation, trigger_s: f64) -> StrainCurves {
     let times_s: Vec<f64> = beat.times_s.iter().map(|time_s| time_s - trigger_s).collect();
     let panel = |direction: &str, value: fn(&Strain) -> f64| {
         let curve = |(segment, (name, look)): (u8, (&str, Look))| {

@@ -6,10 +6,11 @@ use std::time::Instant;
 use serde::Serialize;
 
 use super::clock::Clock;
-use super::each_beat::write_each_beat;
+use super::each_beat::{beat_rows, write_each_beat};
 use super::error::RunError;
 use super::forward::{beat, blocked_stimuli, heart_model, observables, step_count};
 use super::leave::{BeatSummary, Summary, frame_rows, write_beat};
+use super::page::{Account, Colouring, Frames, beat_section, key_figures, leave_page, motion_section, table_section, wall_section};
 use super::patient::Patient;
 use super::pictures;
 use super::prediction::predict;
@@ -82,8 +83,36 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     if status != Status::Stopped {
         headlines.extend(predict(plan, &patient, &patient.parameters, context)?);
     }
+    let account = Account {
+        status,
+        headlines: &headlines,
+        warnings: &patient.warnings,
+        key_figures: key_figures(&summary.beat, None),
+        record: &summary,
+    };
+    leave_report(plan, &model, &clock, &trajectory, account)?;
     context.progress().finish();
     Ok(Outcome { status, directory: plan.output.directory.clone(), headlines })
+}
+
+fn leave_report(
+    plan: &Plan,
+    model: &HeartModel,
+    clock: &Clock,
+    trajectory: &Trajectory,
+    account: Account<Summary<Details>>,
+) -> Result<(), RunError> {
+    let frames = Frames::of(clock, &trajectory.frames);
+    let colouring = Colouring { anatomy: model.anatomy(), frames: &trajectory.frames, model: Some((model, trajectory)) };
+    let rows = beat_rows(model, trajectory);
+    let beats = if rows.len() > 1 { rows } else { Vec::new() };
+    let sections = vec![
+        beat_section(clock, trajectory, &[]),
+        motion_section(clock, &frames, None, &colouring)?,
+        wall_section(model, clock, trajectory),
+        table_section("Beat by beat", "Every beat, own and extra ones", &beats),
+    ];
+    leave_page(plan, account, sections, frames.times_s)
 }
 
 fn count_beats(model: &HeartModel, clock: Clock, beat_count: usize, context: &RunContext) -> Result<Beaten, RunError> {

@@ -8,12 +8,14 @@ use super::discrepancy::write_discrepancy;
 use super::error::RunError;
 use super::forward::heart_model;
 use super::leave::{BeatSummary, Summary, frame_rows, write_base_motion, write_beat};
-use super::montages::{NamedMotion, montages};
+use super::montages::{ImageScene, NamedMotion, montages};
+use super::page::{Account, Colouring, Frames, beat_section, key_figures, leave_page, motion_section, tracking_section, wall_section};
 use super::patient::{Patient, PatientImages};
 use super::personalise::{TrackingSummary, ValidationSummary, tracking_summary, validation_summary};
 use super::pictures;
 use super::track::{Tracked, track_patient};
 use crate::mesh::MeshQuality;
+use crate::report::figures::{Curve, Look};
 use crate::report::write_json;
 use crate::study::{Outcome, Plan, RunContext, Status};
 
@@ -50,13 +52,14 @@ pub(super) fn leave(
     write_beat(plan, &model, trajectory, &clock, &frame_rows(&clock, trajectory, Some(tracked), &[], truth_ml))?;
     write_discrepancy(&plan.output.directory, &patient.anatomy, &tracked.motion)?;
     write_base_motion(&plan.output.directory, &clock, &model, trajectory)?;
+    let motions = [NamedMotion { name: "tracked", frames: &trajectory.frames }];
+    let shown = ImageScene { plan, patient, images, clock: &clock, motions: &motions };
     if plan.output.figures {
         pictures::beat(plan, &clock, trajectory, &[])?;
-        let motions = [NamedMotion { name: "tracked", frames: &trajectory.frames }];
-        montages(plan, patient, images, &clock, &motions)?;
+        montages(&shown)?;
     }
     let details = Details { tracking: tracking_summary(tracked), validation: validation_summary(patient, images, tracked) };
-    let headlines = details.validation.iter().map(ValidationSummary::headline).collect();
+    let headlines: Vec<String> = details.validation.iter().map(ValidationSummary::headline).collect();
     let status = Status::Converged;
     let summary = Summary {
         kind: plan.kind,
@@ -69,5 +72,23 @@ pub(super) fn leave(
         provenance: &plan.provenance,
     };
     write_json(&plan.output.directory.join("summary.json"), &summary)?;
+    let frames = Frames::of(&clock, &trajectory.frames);
+    let colouring = Colouring { anatomy: &patient.anatomy, frames: &trajectory.frames, model: Some((&model, trajectory)) };
+    let truth = Curve::new("truth", Look::Truth, &clock.times_s, truth_ml);
+    let further = if truth_ml.is_empty() { Vec::new() } else { vec![truth] };
+    let sections = vec![
+        beat_section(&clock, trajectory, &further),
+        motion_section(&clock, &frames, Some(&shown), &colouring)?,
+        tracking_section(&patient.anatomy, &clock, tracked, &summary.details.tracking, &summary.details.validation),
+        wall_section(&model, &clock, trajectory),
+    ];
+    let account = Account {
+        status,
+        headlines: &headlines,
+        warnings: summary.warnings,
+        key_figures: key_figures(&summary.beat, None),
+        record: &summary,
+    };
+    leave_page(plan, account, sections, frames.times_s)?;
     Ok(Outcome { status, directory: plan.output.directory.clone(), headlines })
 }

@@ -45,19 +45,19 @@ impl WallSummary {
 /// A row of `segments.csv`: one AHA segment.
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct SegmentRow {
-    segment: u8,
+    pub(super) segment: u8,
     /// Mean of the depolarisation times.
-    activation_time_s: f64,
-    strain_circumferential_end_systole: f64,
-    strain_longitudinal_end_systole: f64,
-    strain_radial_end_systole: f64,
-    strain_circumferential_peak: f64,
-    strain_longitudinal_peak: f64,
-    strain_radial_peak: f64,
-    strain_circumferential_peak_time_s: f64,
-    thickness_end_diastole_mm: f64,
+    pub(super) activation_time_s: f64,
+    pub(super) strain_circumferential_end_systole: f64,
+    pub(super) strain_longitudinal_end_systole: f64,
+    pub(super) strain_radial_end_systole: f64,
+    pub(super) strain_circumferential_peak: f64,
+    pub(super) strain_longitudinal_peak: f64,
+    pub(super) strain_radial_peak: f64,
+    pub(super) strain_circumferential_peak_time_s: f64,
+    pub(super) thickness_end_diastole_mm: f64,
     /// Relative, at end-systole.
-    thickening: f64,
+    pub(super) thickening: f64,
 }
 
 /// A row of `strains.csv`: one AHA segment at a frame.

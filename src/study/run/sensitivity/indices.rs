@@ -7,10 +7,12 @@ use serde::Serialize;
 use super::RunError;
 use super::records::Records;
 use crate::report::figures::{RankedInput, ranking};
+use crate::report::html::{Bar, Bars, Block, Scatter, Section, Table};
 use crate::report::{write_csv, write_json};
 use crate::sensitivity::{Index, Measure};
 use crate::study::figure::unit_of;
 use crate::study::plan::{SensitivityMethod, SensitivityPlan};
+use crate::study::run::page::{Account, leave_page};
 use crate::study::{Kind, Outcome, Plan, Provenance, Status};
 
 /// A row of `indices.csv`.
@@ -48,10 +50,12 @@ struct Summary<'a> {
 pub(super) fn leave_indices(plan: &Plan, wanted: &SensitivityPlan, records: &Records, started: Instant) -> Result<Outcome, RunError> {
     let folder = &plan.output.directory;
     let point_count = wanted.design.points().len();
-    let (mut rows, mut without, mut headlines) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut rows, mut without, mut headlines, mut sections) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for (number, output) in wanted.outputs.iter().enumerate() {
-        match wanted.design.indices(&records.response(number, point_count)) {
+        let response = records.response(number, point_count);
+        match wanted.design.indices(&response) {
             Ok(indices) => {
+                sections.push(section(wanted, output, &indices, records, &response));
                 rows.extend(indices.iter().map(|index| row(wanted, output, index)));
                 headlines.extend(headline(wanted, output, &indices));
                 if plan.output.figures {
@@ -81,6 +85,13 @@ pub(super) fn leave_indices(plan: &Plan, wanted: &SensitivityPlan, records: &Rec
         provenance: &plan.provenance,
     };
     write_json(&folder.join("summary.json"), &summary)?;
+    let account =
+        Account { status, headlines: &headlines, warnings: &summary.outputs_without_indices, key_figures: Vec::new(), record: &summary };
+    sections.push(Section {
+        title: "All indices".into(),
+        blocks: vec![Block::Folded("The table of indices".into(), vec![Block::Table(Table::of_rows("indices.csv", &rows))])],
+    });
+    leave_page(plan, account, sections, Vec::new())?;
     Ok(Outcome { status, directory: folder.clone(), headlines })
 }
 
@@ -146,7 +157,8 @@ fn headline(wanted: &SensitivityPlan, output: &str, indices: &[Index]) -> Option
     (!most.is_empty()).then(|| format!("{output}: {} ({words})", most.join(", ")))
 }
 
-fn draw(plan: &Plan, wanted: &SensitivityPlan, output: &str, indices: &[Index]) -> Result<(), RunError> {
+/// The inputs as a figure ranks them, with the quantity in words.
+fn ranking_of(wanted: &SensitivityPlan, output: &str, indices: &[Index]) -> (Vec<RankedInput>, String, Option<&'static str>) {
     let (measure, words, beside) = ranking_measures(wanted.method);
     let other = |index: &Index| {
         let (measure, _) = beside?;
@@ -158,9 +170,37 @@ fn draw(plan: &Plan, wanted: &SensitivityPlan, output: &str, indices: &[Index]) 
         interval: index.interval,
         beside: other(index),
     };
-    let inputs: Vec<RankedInput> = ranked(indices, measure).iter().map(input).collect();
+    let inputs = ranked(indices, measure).iter().map(input).collect();
     let unit = if wanted.method == SensitivityMethod::Sobol { "1" } else { unit_of(output) };
     let quantity = if unit == "1" { words.to_string() } else { format!("{words} ({unit})") };
+    (inputs, quantity, beside.map(|(_, words)| words))
+}
+
+fn draw(plan: &Plan, wanted: &SensitivityPlan, output: &str, indices: &[Index]) -> Result<(), RunError> {
+    let (inputs, quantity, beside) = ranking_of(wanted, output, indices);
     let file = plan.output.directory.join(format!("sensitivity_{output}.png"));
-    Ok(ranking(&file, output, &quantity, beside.map(|(_, words)| words), &inputs)?)
+    Ok(ranking(&file, output, &quantity, beside, &inputs)?)
+}
+
+/// An output of the report: its inputs in order, and the runs over the strongest of them.
+fn section(wanted: &SensitivityPlan, output: &str, indices: &[Index], records: &Records, response: &[Option<f64>]) -> Section {
+    /// Inputs that the runs are shown over.
+    const SHOWN: usize = 3;
+    let (inputs, quantity, beside) = ranking_of(wanted, output, indices);
+    let bar = |input: RankedInput| Bar { name: input.name, value: input.value, interval: input.interval, beside: input.beside };
+    let bars = inputs.into_iter().map(bar).collect();
+    let bars = Bars { title: format!("What moves {output}"), quantity, beside: beside.map(str::to_owned), bars };
+    let titled = |name: &str, unit: &str| if unit == "1" { name.to_owned() } else { format!("{name} ({unit})") };
+    let scatter = |index: &&Index| {
+        let input = wanted.inputs[index.input].parameter();
+        let values = records.input(index.input, response.len());
+        Block::Scatter(Scatter {
+            x_title: titled(&input.name(), input.parameter().spec().unit),
+            y_title: titled(output, unit_of(output)),
+            points: values.into_iter().zip(response).filter_map(|(x, y)| Some((x?, (*y)?))).collect(),
+        })
+    };
+    let strongest = ranked(indices, ranking_measures(wanted.method).0);
+    let scatters = strongest.iter().take(SHOWN).map(scatter).collect();
+    Section { title: output.replace('_', " "), blocks: vec![Block::Bars(bars), Block::Beside(scatters)] }
 }

@@ -82,7 +82,16 @@ impl Records {
 
     /// An output at every point of the design.
     pub(super) fn response(&self, output: usize, point_count: usize) -> Vec<Option<f64>> {
-        let value = |run| self.runs.get(&run)?.fields.get(self.output_place + output)?.parse().ok();
+        self.column(self.output_place + output, point_count)
+    }
+
+    /// An input at every point of the design.
+    pub(super) fn input(&self, input: usize, point_count: usize) -> Vec<Option<f64>> {
+        self.column(1 + input, point_count)
+    }
+
+    fn column(&self, place: usize, point_count: usize) -> Vec<Option<f64>> {
+        let value = |run| self.runs.get(&run)?.fields.get(place)?.parse().ok();
         (0..point_count).map(value).collect()
     }
 
