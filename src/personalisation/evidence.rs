@@ -125,19 +125,20 @@ mod tests {
         Linearisation { coordinates: start.clone(), rows, jacobian, losses: vec![Loss::Squares; count], prior }
     }
 
-    /// Noise and differences between neighbours come back from data made with them, whatever was stated.
+    /// Noise and differences between neighbours come back from data made with them, whatever was stated: nearly exactly where the noise of a
+    /// segment's mean is far below the differences, else to two standard errors of 16 differences, 2/√32 of the logarithm.
     #[test]
     fn noise_and_ties_are_told_by_data_that_have_them() {
         let space = space();
         let start = space.initial();
-        for (noise, rough) in [(0.1, 0.4), (2.0, 1.0), (0.02, 0.1)] {
+        for (noise, rough, tolerance) in [(0.1, 0.4, 0.05), (2.0, 1.0, 0.35), (0.02, 0.1, 0.05)] {
             let truth = DVector::from_fn(17, |segment, _| start[segment] + rough * (1.9 * segment as f64).sin());
             let found = Evidence::STATED.improved(&seen(&truth, noise, &start), &space).unwrap();
             assert!((found.noise_scale / noise).ln().abs() < 0.1, "{found:?} for noise {noise}");
             let ties = space.ties();
             let square = ties.iter().map(|tie| ((truth[tie.first] - truth[tie.second]) / tie.sd).powi(2)).sum::<f64>();
             let expected = (square / 16.0).sqrt();
-            assert!((found.neighbour_scale / expected).ln().abs() < 0.25, "{found:?}, expected {expected}");
+            assert!((found.neighbour_scale / expected).ln().abs() < tolerance, "{found:?}, expected {expected}");
         }
     }
 

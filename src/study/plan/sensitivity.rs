@@ -107,7 +107,8 @@ fn read_input(table: TableReader) -> Option<ScreeningInput> {
         table.missing(key, "an end of the range over which the parameter is moved");
     }
     let spacing = table.choice("spacing", Spacing::Linear);
-    let place = known.and_then(|parameter| read_place(&table, parameter));
+    let part = table.text("part");
+    let place = known.and_then(|parameter| place_of(&table, parameter, part));
     let input = place.zip(lower.zip(upper)).map(|(place, (lower, upper))| ScreeningInput::new(place, lower, upper, spacing));
     if let Some(Err(error)) = &input {
         table.problem("lower", "makes no range", error.to_string());
@@ -117,8 +118,8 @@ fn read_input(table: TableReader) -> Option<ScreeningInput> {
 }
 
 /// The parameter in the `part` named, in the whole heart where none is.
-fn read_place(table: &TableReader, parameter: Parameter) -> Option<RegionalParameter> {
-    let Some(name) = table.text("part") else { return Some(parameter.into()) };
+fn place_of(table: &TableReader, parameter: Parameter, part: Option<&str>) -> Option<RegionalParameter> {
+    let Some(name) = part else { return Some(parameter.into()) };
     let place = Part::from_name(name).and_then(|part| RegionalParameter::new(parameter, part));
     if place.is_none() {
         let parts: Vec<_> = RegionalParameter::parts_of(parameter).into_iter().map(Part::name).collect();
