@@ -134,7 +134,7 @@
     });
     geometry.dispose();
     const controls = new THREE.OrbitControls(camera, canvas);
-    const distance = 2.3 * Math.hypot(...heart.size_mm) * 0.8;
+    const distance = 1.55 * Math.hypot(...heart.size_mm);
     const render = () => renderer.render(scene, camera);
 
     function look(view) {

@@ -17,7 +17,8 @@ use super::leave::{BeatSummary, FrameRow, Summary, frame_rows, write_base_motion
 use super::measured::{MeasuredVolumes, measured_volumes};
 use super::montages::{ImageScene, NamedMotion, montages};
 use super::page::{
-    Account, Colouring, Frames, beat_section, key_figures, leave_page, motion_section, personal_sections, tracking_section, wall_section,
+    Account, Colouring, Frames, beat_section, key_figures, leave_page, misfit_figures, motion_section, personal_sections, tracking_section,
+    wall_section,
 };
 use super::parameter_rows::{interval, parameter_rows};
 use super::patient::{Patient, PatientImages};
@@ -200,13 +201,13 @@ struct Details {
 pub(super) struct TrackingSummary {
     boundary_rms_endocardium_lv_mm: Option<f64>,
     boundary_rms_epicardium_mm: Option<f64>,
-    boundary_rms_mm: f64,
-    boundary_rms_held_out_mm: f64,
+    pub(super) boundary_rms_mm: f64,
+    pub(super) boundary_rms_held_out_mm: f64,
     image_gain_endocardium_lv_kpa_per_mm: f64,
     image_gain_epicardium_kpa_per_mm: f64,
     image_gain_base_kpa_per_mm: f64,
     /// Magnitudes added up over the beat; compare with the stroke work.
-    image_work_mj: f64,
+    pub(super) image_work_mj: f64,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     gain_factors_tried: Vec<GainEvaluation>,
 }
@@ -215,9 +216,9 @@ pub(super) struct TrackingSummary {
 #[derive(Serialize)]
 #[allow(missing_docs, reason = "the names are the keys of the file, units last")]
 pub(super) struct ValidationSummary {
-    frame: usize,
-    dice_tracked: f64,
-    dice_no_motion: f64,
+    pub(super) frame: usize,
+    pub(super) dice_tracked: f64,
+    pub(super) dice_no_motion: f64,
     mean_distance_tracked_mm: Option<f64>,
     mean_distance_no_motion_mm: Option<f64>,
     volume_tracked_ml: f64,
@@ -225,8 +226,21 @@ pub(super) struct ValidationSummary {
 }
 
 impl ValidationSummary {
-    /// For whoever ran it.
-    pub(super) fn headline(&self) -> String {
+    /// For whoever ran it: a line a frame, or one for all of many.
+    pub(super) fn headlines(frames: &[Self]) -> Vec<String> {
+        /// More frames are summed up.
+        const TOLD: usize = 3;
+        if frames.len() <= TOLD {
+            return frames.iter().map(Self::headline).collect();
+        }
+        let mean = |value: fn(&Self) -> f64| frames.iter().map(value).sum::<f64>() / frames.len() as f64;
+        let least = frames.iter().map(|one| one.dice_tracked).fold(f64::INFINITY, f64::min);
+        let (dice, still) = (mean(|one| one.dice_tracked), mean(|one| one.dice_no_motion));
+        let count = frames.len();
+        vec![format!("expert labels of {count} frames: Dice {dice:.3} on average, {least:.3} at least (no motion {still:.3} on average)")]
+    }
+
+    fn headline(&self) -> String {
         let distance = |mm: Option<f64>| mm.map_or("none".to_owned(), |mm| format!("{mm:.2} mm"));
         format!(
             "expert labels of frame {}: Dice {:.3} (no motion {:.3}), mean distance {} (no motion {})",
@@ -340,13 +354,10 @@ fn leave(scene: &Scene, tracked: &Tracked, found: &Personalised, started: Instan
         provenance: &plan.provenance,
     };
     write_json(&folder.join("summary.json"), &summary)?;
-    let account = Account {
-        status,
-        headlines: &headlines,
-        warnings: summary.warnings,
-        key_figures: key_figures(&summary.beat, Some((measured.largest_ml, measured.smallest_ml))),
-        record: &summary,
-    };
+    let details = &summary.details;
+    let mut key_figures = key_figures(&summary.beat, Some((measured.largest_ml, measured.smallest_ml)));
+    key_figures.extend(misfit_figures([details.volume_rms_initial_ml, details.volume_rms_ml], &details.tracking));
+    let account = Account { status, headlines: &headlines, warnings: summary.warnings, key_figures, record: &summary };
     leave_report(scene, tracked, found, &parameters, account)?;
     Ok(Outcome { status, directory: folder.clone(), headlines })
 }
@@ -431,7 +442,7 @@ fn headlines(details: &Details, parameters: &[ParameterRow]) -> Vec<String> {
         format!("{}{place} = {:.4} {}, from {:.4}{bound}", row.parameter, row.value, row.unit, row.initial)
     }));
     lines.extend(details.verdict.iter().cloned());
-    lines.extend(details.validation.iter().map(ValidationSummary::headline));
+    lines.extend(ValidationSummary::headlines(&details.validation));
     lines.extend(details.recovery.iter().map(|recovery| {
         let verdict = match recovery.within_tolerance {
             _ if !recovery.has_tolerances() => "",

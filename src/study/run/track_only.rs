@@ -59,7 +59,7 @@ pub(super) fn leave(
         montages(&shown)?;
     }
     let details = Details { tracking: tracking_summary(tracked), validation: validation_summary(patient, images, tracked) };
-    let headlines: Vec<String> = details.validation.iter().map(ValidationSummary::headline).collect();
+    let headlines = ValidationSummary::headlines(&details.validation);
     let status = Status::Converged;
     let summary = Summary {
         kind: plan.kind,

@@ -5,6 +5,7 @@ use crate::report::figures::Curve;
 use crate::report::html::{Block, KeyFigure, Plot, Section, readable};
 use crate::study::run::clock::Clock;
 use crate::study::run::leave::BeatSummary;
+use crate::study::run::personalise::TrackingSummary;
 use crate::study::run::pictures::ventricle_figures;
 
 /// The curves of the last beat; `further` ones join the volumes of the left ventricle.
@@ -49,6 +50,30 @@ pub(in crate::study::run) fn key_figures(beat: &BeatSummary, measured_ml: Option
         figure("Total activation time", Some(beat.total_activation_time_ms), "ms", None),
     ];
     figures.into_iter().flatten().collect()
+}
+
+/// How well a personalised heart fits, and what tracking it took.
+pub(in crate::study::run) fn misfit_figures(volume_ml: [f64; 2], tracking: &TrackingSummary) -> Vec<KeyFigure> {
+    let figure = |name: &str, value: f64, unit: &str, beside: Option<String>| KeyFigure {
+        name: name.into(),
+        value: readable_to_tenth(value),
+        unit: unit.into(),
+        beside,
+    };
+    let [before_ml, after_ml] = volume_ml;
+    let held_out_mm = tracking.boundary_rms_held_out_mm;
+    let held_out = (held_out_mm > 0.0).then(|| format!("held out: {} mm", readable_to_hundredth(held_out_mm)));
+    let distance =
+        KeyFigure { value: readable_to_hundredth(tracking.boundary_rms_mm), ..figure("Tracked boundary, RMS", 0.0, "mm", held_out) };
+    vec![
+        figure("Volume misfit of the model, RMS", after_ml, "mL", Some(format!("at its start: {} mL", readable_to_tenth(before_ml)))),
+        distance,
+        figure("Work of the image forces", tracking.image_work_mj, "mJ", None),
+    ]
+}
+
+fn readable_to_hundredth(value: f64) -> String {
+    readable((100.0 * value).round() / 100.0)
 }
 
 /// A tenth is more than any of these is known to; larger numbers whole.

@@ -7,7 +7,7 @@ mod tracking;
 mod wall;
 mod words;
 
-pub(super) use beat::{beat_section, key_figures};
+pub(super) use beat::{beat_section, key_figures, misfit_figures};
 pub(super) use motion::{Colouring, Frames, motion_section, resting_heart};
 pub(super) use personal::personal_sections;
 pub(super) use tracking::tracking_section;

@@ -41,13 +41,12 @@ pub(in crate::study::run) fn tracking_section(
         },
     ];
     let eyes: Vec<BullsEye> = eyes.into_iter().filter(|eye| eye.values.iter().any(Option::is_some)).collect();
-    let mut blocks = vec![
-        Block::Text(about.into()),
-        Block::Beside(vec![Block::Plot(residual_plot(clock, motion)), Block::Bars(work_bars(anatomy, motion))]),
-        Block::BullsEyes(eyes),
-    ];
+    let mut plots = vec![Block::Plot(residual_plot(clock, motion)), Block::Bars(work_bars(anatomy, motion))];
+    plots.extend((validation.len() > 3).then(|| Block::Plot(agreement_plot(clock, validation))));
+    let mut blocks = vec![Block::Text(about.into()), Block::Beside(plots), Block::BullsEyes(eyes)];
     if !validation.is_empty() {
-        blocks.push(Block::Table(Table::of_rows("Against labels that nothing was fitted to", validation)));
+        let table = Block::Table(Table::of_rows("Against labels that nothing was fitted to", validation));
+        blocks.push(if validation.len() > 3 { Block::Folded("Every labelled frame".into(), vec![table]) } else { table });
     }
     blocks.push(Block::Folded("Gains and distances in figures".into(), vec![Block::Table(Table::of_record("tracking", summary))]));
     Section { title: "Tracking and discrepancy".into(), blocks }
@@ -61,6 +60,18 @@ fn residual_plot(clock: &Clock, motion: &TrackedMotion) -> Plot {
     };
     let curves: Vec<Curve> = SURFACES.iter().map(curve).filter(|curve| !curve.points.is_empty()).collect();
     Plot::over_time("Distance of the tracked surfaces from the boundaries", "RMS distance (mm)", &curves)
+}
+
+/// How the tracked cavity agrees with labels that nothing was fitted to.
+fn agreement_plot(clock: &Clock, validation: &[ValidationSummary]) -> Plot {
+    let curve = |name: &str, look, value: fn(&ValidationSummary) -> f64| {
+        let at = |one: &ValidationSummary| Some((clock.times_s[clock.position_of(one.frame)?] - clock.last_trigger_s(), value(one)));
+        let mut points: Vec<(f64, f64)> = validation.iter().filter_map(at).collect();
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Curve { name: name.into(), look, points }
+    };
+    let curves = [curve("tracked", Look::Tracked, |one| one.dice_tracked), curve("mesh at rest", Look::Initial, |one| one.dice_no_motion)];
+    Plot::over_time("The LV cavity against labels that nothing was fitted to", "Dice coefficient", &curves)
 }
 
 fn work_bars(anatomy: &Anatomy, motion: &TrackedMotion) -> Bars {
