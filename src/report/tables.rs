@@ -77,11 +77,18 @@ pub struct PathRow {
     pub z_mm: f64,
 }
 
-/// Writes rows as CSV, with a header of the fields' names.
+/// Writes rows as CSV, with a header of the fields' names. A table without rows would have no header either: it is left out, and what an earlier
+/// run left there is taken away.
 ///
 /// # Errors
 /// [`ReportError::Write`].
 pub fn write_csv<R: Serialize>(file: &Path, rows: &[R]) -> Result<(), ReportError> {
+    if rows.is_empty() {
+        return match std::fs::remove_file(file) {
+            Err(source) if source.kind() != io::ErrorKind::NotFound => Err(ReportError::Write { file: file.into(), source }),
+            _ => Ok(()),
+        };
+    }
     write_atomically(file, |out| {
         let mut writer = csv::Writer::from_writer(out);
         for row in rows {
@@ -195,6 +202,17 @@ mod tests {
             "parameter,symbol,unit,region,initial,value,lower,upper,sd,interval_low,interval_high,at_bound,state,prior_mean,prior_sd\n\
              contraction_peak_lv_kpa,σ0_LV,kPa,heart,90.0,101.5,30.0,200.0,2.5,96.6,,false,free,,\n"
         );
+    }
+
+    #[test]
+    fn a_table_without_rows_is_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("beats.csv");
+        write_csv(&file, &[1.5]).unwrap();
+        assert!(file.is_file());
+        write_csv::<f64>(&file, &[]).unwrap();
+        write_csv::<f64>(&file, &[]).unwrap();
+        assert!(!file.exists());
     }
 
     #[test]

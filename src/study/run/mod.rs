@@ -45,10 +45,12 @@ pub use error::RunError;
 pub use mesh_only::{MeshReport, PartVolume, SurfaceAgreement, mesh_heart};
 pub(super) use side_by_side::side_by_side;
 
+use serde::Serialize;
+
 use super::plan::Kind;
 use super::reader::Choice;
-use super::{Outcome, Plan, RunContext};
-use crate::report::create_folder;
+use super::{Outcome, Plan, Provenance, RunContext, Status};
+use crate::report::{create_folder, write_json};
 
 /// Runs a plan and leaves its files in the plan's folder.
 ///
@@ -56,6 +58,14 @@ use crate::report::create_folder;
 /// [`RunError`] names the room that failed, with its reason and remedy.
 pub fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
     create_folder(&plan.output.directory)?;
+    let outcome = run_kind(plan, context);
+    if matches!(outcome, Err(RunError::Stopped)) {
+        leave_stopped(plan)?;
+    }
+    outcome
+}
+
+fn run_kind(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
     match plan.kind {
         Kind::Mesh => mesh_only::run(plan, context),
         Kind::Simulate => simulate::run(plan, context),
@@ -67,6 +77,21 @@ pub fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
         Kind::Sensitivity => sensitivity::run(plan, context),
         Kind::CompareSolvers => compare_solvers::run(plan, context),
     }
+}
+
+/// `summary.json` of a run that was stopped before it had a result; that of an earlier run would pass for its own.
+#[derive(Serialize)]
+struct StoppedSummary<'a> {
+    kind: Kind,
+    status: Status,
+    warnings: [String; 1],
+    provenance: &'a Provenance,
+}
+
+fn leave_stopped(plan: &Plan) -> Result<(), RunError> {
+    let warnings = [RunError::Stopped.to_string()];
+    let summary = StoppedSummary { kind: plan.kind, status: Status::Stopped, warnings, provenance: &plan.provenance };
+    Ok(write_json(&plan.output.directory.join("summary.json"), &summary)?)
 }
 
 /// Gathers what the parts of a study left, and reads the whole.
