@@ -8,6 +8,7 @@ use dicom_object::{DefaultDicomObject, OpenFileOptions, Tag};
 use dicom_transfer_syntax_registry::TransferSyntaxRegistry;
 use nalgebra::Vector3;
 
+use super::lengths::{check_lengths, says_to_be_dicom};
 use super::{jpeg_2000, run_length};
 
 const SERIES_UID: Tag = Tag(0x0020, 0x000E);
@@ -65,6 +66,12 @@ pub(super) enum Skipped {
 impl Instance {
     /// Reads a file.
     pub(super) fn read(path: &Path) -> Result<Self, Skipped> {
+        let bytes = std::fs::read(path).map_err(|_| Skipped::NotDicom)?;
+        if !says_to_be_dicom(&bytes) {
+            return Err(Skipped::NotDicom);
+        }
+        check_lengths(&bytes).map_err(Skipped::Unusable)?;
+        drop(bytes);
         let object = OpenFileOptions::new().open_file(path).map_err(|_| Skipped::NotDicom)?;
         Self::from_object(path, &object).map_err(Skipped::Unusable)
     }

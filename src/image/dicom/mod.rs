@@ -5,6 +5,7 @@
 
 mod instance;
 mod jpeg_2000;
+mod lengths;
 mod run_length;
 mod stack;
 
