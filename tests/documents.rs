@@ -96,3 +96,64 @@ fn files_that_the_readme_names_exist() {
         );
     }
 }
+
+/// README.md, the documents and those of the studies and of the Python door.
+fn documents() -> Vec<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let all = files_below("docs", "md").into_iter().chain(files_below("studies", "md"));
+    all.chain([root.join("README.md"), root.join("python/README.md"), root.join("CHANGELOG.md")]).collect()
+}
+
+#[test]
+fn links_lead_to_files() {
+    let mut count = 0;
+    for document in documents() {
+        let text = read(&document);
+        for target in text.split("](").skip(1).filter_map(|rest| rest.split_once(')')).map(|(target, _)| target) {
+            let file = target.split('#').next().unwrap_or("");
+            if !target.contains("://") && !file.is_empty() {
+                let path = document.with_file_name(file);
+                assert!(path.exists(), "{target}, linked in {}, does not exist", document.display());
+                count += 1;
+            }
+        }
+    }
+    assert!(count > 20, "{count}");
+}
+
+#[test]
+fn files_that_a_run_is_said_to_leave_are_written_somewhere() {
+    let source: String = files_below("src", "rs").iter().map(read).collect();
+    let results = read("docs/results.md");
+    let names: BTreeSet<&str> =
+        quoted(&results).into_iter().filter(|word| word.ends_with(".csv") || word.ends_with(".json") || word.ends_with(".pvd")).collect();
+    assert!(names.len() > 12, "{names:?}");
+    for name in names {
+        // Series of meshes are named without their endings.
+        let written = name.strip_suffix(".pvd").unwrap_or(name);
+        assert!(source.contains(&format!("\"{written}")), "{name} of docs/results.md is written nowhere");
+    }
+}
+
+#[test]
+fn commands_in_running_text_exist() {
+    let arguments = read("src/cli/arguments.rs");
+    let commands = arguments.split("enum Command {").nth(1).and_then(|rest| rest.split("\nimpl Command").next()).unwrap_or_default();
+    let known: BTreeSet<String> = commands
+        .lines()
+        .filter_map(|line| line.trim().split(['(', ' ', ',']).next())
+        .filter(|word| word.chars().next().is_some_and(char::is_uppercase))
+        .map(str::to_lowercase)
+        .collect();
+    assert!(known.contains("run") && known.contains("completions") && known.len() > 10, "{known:?}");
+    let mut count = 0;
+    for document in documents() {
+        for code in quoted(&read(&document)) {
+            let Some(command) = code.strip_prefix("cardiotwin ").and_then(|rest| rest.split_whitespace().next()) else { continue };
+            let is_command = command.chars().all(|c| c.is_ascii_lowercase());
+            assert!(!is_command || known.contains(command), "`{code}` in {}: there is no command {command}", document.display());
+            count += usize::from(is_command);
+        }
+    }
+    assert!(count > 20, "{count}");
+}
