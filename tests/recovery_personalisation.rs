@@ -32,10 +32,8 @@ const START_S: f64 = -0.1;
 fn heart() -> &'static HeartModel {
     static HEART: OnceLock<HeartModel> = OnceLock::new();
     HEART.get_or_init(|| {
-        let anatomy = IdealisedLv::default().build(&MesherSettings::with_edge_length_mm(12.0), &AnatomySettings::default()).unwrap();
-        // What is given back is what went in, on any mesh and in any step.
-        let settings = ModelSettings { step_s: 0.01, ..ModelSettings::default() };
-        HeartModel::new(Arc::new(anatomy), Parameters::default(), settings).unwrap()
+        let anatomy = IdealisedLv::default().build(&MesherSettings::with_edge_length_mm(10.0), &AnatomySettings::default()).unwrap();
+        HeartModel::new(Arc::new(anatomy), Parameters::default(), ModelSettings::default()).unwrap()
     })
 }
 
