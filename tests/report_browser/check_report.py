@@ -161,8 +161,9 @@ def check_instant(page, check):
     page.press("#frame", LEFT)
     check("the other arrow moves it back", page.run(INSTANT) == before[1] != moved)
     page.click("#play")
-    seen = set()
-    for _ in range(20):
+    # A beat is shown in its time: a busy machine that draws in software leaves frames out.
+    seen, started = set(), time.monotonic()
+    while len(seen) <= 2 and time.monotonic() - started < 60:
         seen.add(page.run(INSTANT))
         time.sleep(0.1)
     check("play shows frame after frame", len(seen) > 2, seen)
@@ -212,7 +213,8 @@ def check_heart(page, check):
     check(f"each of the {fields} quantities colours it in its own way", len(set(pictures)) >= max(fields - 1, 1), pictures)
     if page.run("return !!document.getElementById('frame')"):
         before = page.run(PIXELS)["sum"]
-        page.press("#frame", RIGHT * 3)
+        # A third of the beat on: a heart in diastole hardly moves.
+        page.press("#frame", RIGHT * page.run("return Math.ceil(document.getElementById('frame').max / 3)"))
         check("the slider moves it", page.run(PIXELS)["sum"] != before)
     before = page.run(PIXELS)["sum"]
     page.click("#heart .parts input")

@@ -25,9 +25,9 @@ fn blocks(model: &HeartModel, clock: &Clock, beat: &BeatDeformation) -> Vec<Bloc
     };
     let eyes = vec![
         eye("Activation", "ms", Scale::Sequential, |row| MS_PER_S * row.activation_time_s),
-        eye("Peak circumferential strain", "%", Scale::Diverging, |row| 100.0 * row.strain_circumferential_peak),
-        eye("Peak longitudinal strain", "%", Scale::Diverging, |row| 100.0 * row.strain_longitudinal_peak),
-        eye("Peak radial strain", "%", Scale::Diverging, |row| 100.0 * row.strain_radial_peak),
+        eye("Circumferential strain at end-systole", "%", Scale::Diverging, |row| 100.0 * row.strain_circumferential_end_systole),
+        eye("Longitudinal strain at end-systole", "%", Scale::Diverging, |row| 100.0 * row.strain_longitudinal_end_systole),
+        eye("Radial strain at end-systole", "%", Scale::Diverging, |row| 100.0 * row.strain_radial_end_systole),
         eye("Thickening at end-systole", "%", Scale::Diverging, |row| 100.0 * row.thickening),
         eye("Thickness at end-diastole", "mm", Scale::Sequential, |row| row.thickness_end_diastole_mm),
     ];
