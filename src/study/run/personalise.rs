@@ -379,7 +379,7 @@ fn leave_report(
     let [parameters, told, convergence] = personal_sections(found, parameters, details.recovery.as_ref());
     let sections = vec![
         parameters,
-        beat_section(clock, &found.fitted, &further_volumes(scene, tracked, found)),
+        beat_section(clock, &found.fitted, [&further_volumes(scene, tracked, found), &right_volumes(scene, found)]),
         motion_section(clock, &frames, Some(&shown), &colouring)?,
         wall_section(&found.model, clock, &found.fitted),
         tracking_section(anatomy, clock, tracked, &details.tracking, &details.validation),
@@ -452,6 +452,12 @@ fn headlines(details: &Details, parameters: &[ParameterRow]) -> Vec<String> {
         format!("{verdict}volume of the model {:.2} mL RMS from the truth", recovery.volume_model_rms_ml)
     }));
     lines
+}
+
+/// The measured volumes of the right ventricle, where there are any.
+fn right_volumes(scene: &Scene, found: &Personalised) -> Vec<Curve> {
+    let measured = found.measured.right_ml.iter();
+    measured.map(|volumes_ml| Curve::new("measured", Look::Measured, &scene.clock.times_s, volumes_ml)).collect()
 }
 
 fn draw(scene: &Scene, tracked: &Tracked, found: &Personalised, recovery: Option<&Recovery>) -> Result<(), RunError> {

@@ -228,7 +228,7 @@ fn leave_report(scene: &ImageScene, beat: &ImagedBeat, rows: &[VolumeRow], accou
     let colouring = Colouring { anatomy: &patient.anatomy, frames: &beat.frames, model };
     let plots: Vec<Block> = volume_figures(rows).iter().map(|figure| Block::Plot(Plot::from(figure))).collect();
     let mut sections = vec![Section { title: "Truth and labels".into(), blocks: vec![Block::Beside(plots)] }];
-    sections.extend(model.map(|(_, trajectory)| beat_section(clock, trajectory, &[])));
+    sections.extend(model.map(|(_, trajectory)| beat_section(clock, trajectory, [&[], &[]])));
     sections.push(motion_section(clock, &frames, Some(scene), &colouring)?);
     sections.extend(model.map(|(model, trajectory)| wall_section(model, clock, trajectory)));
     leave_page(plan, account, sections, frames.times_s)

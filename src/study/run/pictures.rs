@@ -140,7 +140,7 @@ fn bands(clock: &Clock, trajectory: &Trajectory, ventricle: Ventricle) -> Vec<Ti
 }
 
 /// A curve shifted in time.
-fn later(curve: &Curve, shift_s: f64) -> Curve {
+pub(super) fn later(curve: &Curve, shift_s: f64) -> Curve {
     Curve { points: curve.points.iter().map(|&(time_s, value)| (time_s + shift_s, value)).collect(), ..curve.clone() }
 }
 

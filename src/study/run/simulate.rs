@@ -107,7 +107,7 @@ fn leave_report(
     let rows = beat_rows(model, trajectory);
     let beats = if rows.len() > 1 { rows } else { Vec::new() };
     let sections = vec![
-        beat_section(clock, trajectory, &[]),
+        beat_section(clock, trajectory, [&[], &[]]),
         motion_section(clock, &frames, None, &colouring)?,
         wall_section(model, clock, trajectory),
         table_section("Beat by beat", "Every beat, own and extra ones", &beats),

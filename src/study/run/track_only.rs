@@ -77,7 +77,7 @@ pub(super) fn leave(
     let truth = Curve::new("truth", Look::Truth, &clock.times_s, truth_ml);
     let further = if truth_ml.is_empty() { Vec::new() } else { vec![truth] };
     let sections = vec![
-        beat_section(&clock, trajectory, &further),
+        beat_section(&clock, trajectory, [&further, &[]]),
         motion_section(&clock, &frames, Some(&shown), &colouring)?,
         tracking_section(&patient.anatomy, &clock, tracked, &summary.details.tracking, &summary.details.validation),
         wall_section(&model, &clock, trajectory),

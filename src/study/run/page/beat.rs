@@ -1,17 +1,22 @@
 //! The beat: volumes measured and simulated, pressures with the phases, pressure–volume loops, and its figures in large type.
 
+use crate::anatomy::Ventricle;
 use crate::heart::Trajectory;
 use crate::report::figures::Curve;
 use crate::report::html::{Block, KeyFigure, Plot, Section, readable};
 use crate::study::run::clock::Clock;
 use crate::study::run::leave::BeatSummary;
 use crate::study::run::personalise::TrackingSummary;
-use crate::study::run::pictures::ventricle_figures;
+use crate::study::run::pictures::{later, ventricle_figures};
 
-/// The curves of the last beat; `further` ones join the volumes of the left ventricle.
-pub(in crate::study::run) fn beat_section(clock: &Clock, trajectory: &Trajectory, further: &[Curve]) -> Section {
+/// The curves of the last beat; `further` ones join the volumes of the left and of the right ventricle.
+pub(in crate::study::run) fn beat_section(clock: &Clock, trajectory: &Trajectory, further: [&[Curve]; 2]) -> Section {
     let mut blocks = Vec::new();
-    for figures in ventricle_figures(clock, trajectory, further) {
+    let [left, right] = further;
+    for mut figures in ventricle_figures(clock, trajectory, left) {
+        if figures.ventricle == Ventricle::Right {
+            figures.volume.curves.extend(right.iter().map(|curve| later(curve, -clock.last_trigger_s())));
+        }
         let volume = Plot::from(&figures.volume).with_phases(&figures.beat.phases);
         let loop_of = Plot::from(&figures.pressure_volume);
         blocks.push(Block::Beside(vec![Block::Plot(volume), Block::Plot(Plot::from(&figures.beat)), Block::Plot(loop_of)]));
