@@ -1,10 +1,11 @@
 //! A run on stderr: a bar a stage where somebody watches, a line a stage where nobody does, or JSON for other programs.
 
+use std::fmt::Write;
 use std::io::IsTerminal;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 use serde_json::json;
 
 use super::arguments::TalkArguments;
@@ -113,10 +114,19 @@ impl TerminalProgress {
             return ProgressBar::hidden();
         }
         let template = match total {
-            Some(_) => "{spinner} {msg} [{wide_bar}] {pos}/{len}, {elapsed} so far, {eta} left",
+            Some(_) => "{spinner} {msg} [{wide_bar}] {pos}/{len}, {elapsed} so far, {left} left",
             None => "{spinner} {msg}, {elapsed} so far",
         };
-        let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+        // Before the first step nothing is known of the others.
+        let left = |state: &ProgressState, out: &mut dyn Write| {
+            let left_s = state.eta().as_secs();
+            let _ = match state.pos() {
+                0 => write!(out, "?"),
+                _ if left_s < 100 => write!(out, "{left_s} s"),
+                _ => write!(out, "{} min", (left_s + 30) / 60),
+            };
+        };
+        let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()).with_key("left", left);
         let bar = total.map_or_else(ProgressBar::new_spinner, ProgressBar::new).with_style(style).with_message(name.to_owned());
         bar.enable_steady_tick(Duration::from_millis(120));
         bar

@@ -42,12 +42,12 @@ fn start(bytes: &[u8]) -> Option<usize> {
 pub(super) fn check_lengths(bytes: &[u8]) -> Result<(), String> {
     let mut at = start(bytes).unwrap_or(bytes.len());
     let (mut syntax, mut of_data, mut is_fragments) = (Syntax::ExplicitLittle, Syntax::ExplicitLittle, false);
-    while let Some(header) = Header::read(bytes, at, syntax) {
-        // The data follow the file's own group in the syntax that it names.
-        if header.tag[0] > 2 && syntax != of_data {
+    loop {
+        // The data follow the file's own group, 2, in the syntax that it names.
+        if bytes.get(at..at + 2) != Some(&[2, 0]) {
             syntax = of_data;
-            continue;
         }
+        let Some(header) = Header::read(bytes, at, syntax) else { return Ok(()) };
         let value = at + header.size;
         let left = bytes.len() - value;
         let is_entered = match header.tag {
@@ -83,7 +83,6 @@ pub(super) fn check_lengths(bytes: &[u8]) -> Result<(), String> {
         }
         at = value + length;
     }
-    Ok(())
 }
 
 fn syntax_of(name: &[u8]) -> Syntax {
