@@ -70,6 +70,7 @@ pub fn read_cine(path: &Path, timing: &CineTiming) -> Result<CineReading, ImageE
     }
     let (times_s, period_s) = timing.resolve(frame_count, image.start_s, image.step_s).map_err(unusable)?;
     let mut warnings = [image.warnings, timing.warnings.clone()].concat();
+    warnings.extend(image.step_s.and_then(|step_s| timing.contradiction(step_s, frame_count)));
     let frames = match &timing.phases {
         Some(phases) => at_common_phases(image.frames, phases, &mut warnings).map_err(|error| unusable(error.to_string()))?,
         None => image.frames,

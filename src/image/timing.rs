@@ -124,6 +124,15 @@ impl CineTiming {
         Ok((times_s, period_s))
     }
 
+    /// Says by how much a given heart period is too short for the frames of a header; frames that fall short of the period are said elsewhere.
+    pub(super) fn contradiction(&self, header_step_s: f64, frame_count: usize) -> Option<String> {
+        const ROUNDING: f64 = 0.02;
+        let (period_s, header_s) = (self.period_s?, header_step_s * frame_count as f64);
+        (self.frame_times_s.is_none() && header_s > (1.0 + ROUNDING) * period_s).then(|| {
+            format!("its frames of {header_step_s} s make a heart period of {header_s:.3} s, but {period_s} s were given; the frames were spread over these")
+        })
+    }
+
     /// Headers round the step; where the period is known, frames that would not fit into it are spread over it evenly.
     fn compatible_step(&self, step_s: f64, frame_count: usize) -> f64 {
         match self.period_s {

@@ -35,7 +35,7 @@ pub enum BaseProjection {
     Full,
 }
 
-/// Displacements of base vertices from their reference positions at some times of a cycle, with confidences; periodic in time.
+/// Displacements of vertices, of the base or of the whole wall, from their reference positions at some times of a cycle, with confidences; periodic in time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BaseMatches {
     vertices: Vec<usize>,
@@ -56,7 +56,13 @@ impl BaseMatches {
         Self { vertices, times_s, period_s, displacement_mm, confidence }
     }
 
-    /// The base vertices.
+    /// Refuses matches of vertices that a mesh does not have.
+    pub(super) fn check_vertices(&self, vertex_count: usize) -> Result<(), TrackingError> {
+        let Some(vertex) = self.vertices.iter().find(|&&vertex| vertex >= vertex_count) else { return Ok(()) };
+        Err(TrackingError::BaseMatches { reason: format!("it names vertex {vertex}, but the mesh has {vertex_count}") })
+    }
+
+    /// The vertices.
     pub fn vertices(&self) -> &[usize] {
         &self.vertices
     }
@@ -114,10 +120,7 @@ impl<'a> BaseForce<'a> {
         gain_kpa_per_mm: f64,
     ) -> Result<Self, TrackingError> {
         TrackingError::check_setting("image_gain_base_kpa_per_mm", gain_kpa_per_mm, 0.0, f64::MAX)?;
-        if let Some(vertex) = matches.vertices.iter().find(|&&vertex| vertex >= reference_mm.len()) {
-            let reason = format!("it names vertex {vertex}, but the mesh has {}", reference_mm.len());
-            return Err(TrackingError::BaseMatches { reason });
-        }
+        matches.check_vertices(reference_mm.len())?;
         Ok(Self { surface, matches, reference_mm, projection, gain_kpa_per_mm })
     }
 }

@@ -1,14 +1,13 @@
 //! The motion of the base by block matching: every base vertex carries a block of the reference image and looks for the most
 //! similar block in each frame, coarse to fine, sub-voxel at the end, \[Billet2009\] §5 with the practice of \[Ourselin2000\].
 
-use std::ops::RangeInclusive;
-
 use nalgebra::{DMatrix, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::appearance::quantile;
-use super::pyramid::{Level, Pyramid};
+use super::blocks::{Block, Match, WIDEST_BLOCK, blocks_of, search};
+use super::pyramid::Pyramid;
 use super::{BaseMatches, TrackingError};
 use crate::image::CineSequence;
 
@@ -41,6 +40,8 @@ pub struct BlockMatchingSettings {
     pub variance_share: f64,
     /// Share of the matches that is kept after trimming those farthest from the common affine motion.
     pub trimmed_share: f64,
+    /// How often blocks are matched and the heart is tracked; from the second time on blocks are carried by the motion of the time before.
+    pub rounds: usize,
 }
 
 impl Default for BlockMatchingSettings {
@@ -53,7 +54,15 @@ impl Default for BlockMatchingSettings {
             range_mm: 6.0,
             variance_share: 0.75,
             trimmed_share: 0.75,
+            rounds: 1,
         }
+    }
+}
+
+impl BlockMatchingSettings {
+    /// The tissue around a block deforms as the vertices within this distance, mm: 1.5 times half the block's edge.
+    pub(super) fn deformation_reach_mm(&self) -> f64 {
+        0.75 * self.voxel_mm * (2 * self.block_radius_voxels + 1) as f64
     }
 }
 
@@ -88,7 +97,13 @@ pub fn match_base(
         let moving = pyramid_of(frame);
         let raw: Vec<Option<Match>> = (0..vertices.len())
             .into_par_iter()
-            .map(|place| if usable[place] { search(&blocks[place], &moving, &centres[place], &start[place], settings) } else { None })
+            .map(|place| {
+                if usable[place] {
+                    search(&blocks[place], &moving, &centres[place], &start[place], (settings.similarity, settings.range_mm))
+                } else {
+                    None
+                }
+            })
             .collect();
         let (common, trust) = trim(&centres, &raw, settings.trimmed_share);
         for place in 0..vertices.len() {
@@ -101,186 +116,24 @@ pub fn match_base(
     Ok(BaseMatches::new(vertices.to_vec(), cine.times_s().to_vec(), cine.period_s(), displacement_mm, confidence))
 }
 
-/// Voxels along the edge of the largest block.
-const WIDEST_BLOCK: usize = 33;
-
-fn check(settings: &BlockMatchingSettings) -> Result<(), TrackingError> {
+pub(super) fn check(settings: &BlockMatchingSettings) -> Result<(), TrackingError> {
     TrackingError::check_setting("voxel_mm", settings.voxel_mm, 0.1, 20.0)?;
     TrackingError::check_setting("block_radius_voxels", settings.block_radius_voxels as f64, 1.0, (WIDEST_BLOCK / 2) as f64)?;
     TrackingError::check_setting("levels", settings.levels as f64, 1.0, 6.0)?;
     TrackingError::check_setting("range_mm", settings.range_mm, settings.voxel_mm, 100.0)?;
     TrackingError::check_setting("variance_share", settings.variance_share, 0.01, 1.0)?;
-    TrackingError::check_setting("trimmed_share", settings.trimmed_share, 0.01, 1.0)
+    TrackingError::check_setting("trimmed_share", settings.trimmed_share, 0.01, 1.0)?;
+    TrackingError::check_setting("rounds", settings.rounds as f64, 1.0, 10.0)
 }
 
-/// The voxels of a block at one level of the pyramid, less their mean.
-struct Block {
-    values: Vec<f32>,
-    mean: f32,
-    variance: f64,
-    /// 2 r + 1.
-    side: usize,
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Match {
-    displacement_mm: Vector3<f64>,
-    /// 0..=1.
-    similarity: f64,
-}
-
-/// The blocks around a point, finest level first; levels at which the block leaves the image are cut off.
-fn blocks_of(pyramid: &Pyramid, centre_mm: &Vector3<f64>, radius: usize) -> Vec<Block> {
-    let read = |level: &Level| {
-        level.shifts(centre_mm, radius, 0).iter().all(|range| range.contains(&0)).then(|| {
-            let mut values = Vec::new();
-            level.read_around(centre_mm, radius, &mut values);
-            let count = values.len() as f64;
-            let mean = (values.iter().map(|&v| f64::from(v)).sum::<f64>() / count) as f32;
-            values.iter_mut().for_each(|value| *value -= mean);
-            let variance = values.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>() / count;
-            Block { values, mean, variance, side: 2 * radius + 1 }
-        })
-    };
-    pyramid.levels().iter().map_while(read).collect()
-}
-
-fn highest_variance(blocks: &[Vec<Block>], share: f64) -> Vec<bool> {
+/// Which places have the blocks of the highest variance.
+pub(super) fn highest_variance(blocks: &[Vec<Block>], share: f64) -> Vec<bool> {
     let variances: Vec<Option<f64>> = blocks.iter().map(|list| list.first().map(|block| block.variance)).collect();
     let least = quantile(variances.iter().flatten().copied(), 1.0 - share);
     variances.iter().map(|variance| variance.is_some_and(|v| v >= least && v > 0.0)).collect()
 }
 
-/// The surroundings of a point of a level: a block and `reach` voxels more on every side.
-struct Surroundings {
-    values: Vec<f32>,
-    side: usize,
-    reach: i32,
-    within: [RangeInclusive<i32>; 3],
-}
-
-impl Surroundings {
-    /// Reads them into the memory of others.
-    fn read(level: &Level, point_mm: &Vector3<f64>, block: &Block, reach: i32, mut values: Vec<f32>) -> Self {
-        let radius = block.side / 2;
-        level.read_around(point_mm, radius + reach as usize, &mut values);
-        Self { values, side: block.side + 2 * reach as usize, reach, within: level.shifts(point_mm, radius, reach) }
-    }
-
-    /// Dissimilarity of a block and the one that is shifted by whole voxels, 0 (the same) to about 2, or nothing outside the image.
-    ///
-    /// SSD: $\sum (a - b)^2 / \sum ((a - \bar a)^2 + (b - \bar b)^2)$, without the denominator's dependence on b for the search: the
-    /// reference's variance alone scales it. NCC: $1 - \rho$. Both from sums of $a - \bar a$ and $b - \bar a$, a sum for each place in a row.
-    fn dissimilarity(&self, block: &Block, shift: [i32; 3], similarity: Similarity) -> Option<f64> {
-        if !self.within.iter().zip(shift).all(|(range, shift)| range.contains(&shift)) {
-            return None;
-        }
-        let [i, j, k] = shift.map(|shift| (shift + self.reach) as usize);
-        let rows = block.values.chunks_exact(block.side).enumerate().map(|(row, values)| {
-            let start = i + self.side * (j + row % block.side + self.side * (k + row / block.side));
-            (values, &self.values[start..start + block.side])
-        });
-        let mut sums = [[0.0_f32; WIDEST_BLOCK]; 3];
-        let [first, second, third] = &mut sums;
-        let count = block.values.len() as f64;
-        let total = |sums: &[f32; WIDEST_BLOCK]| sums.iter().map(|&s| f64::from(s)).sum::<f64>() / count;
-        match similarity {
-            Similarity::Ssd => {
-                for (a, b) in rows {
-                    for ((sum, &a), &b) in first.iter_mut().zip(a).zip(b) {
-                        let apart = a - (b - block.mean);
-                        *sum += apart * apart;
-                    }
-                }
-                Some(total(first) / (2.0 * block.variance.max(f64::MIN_POSITIVE)))
-            }
-            Similarity::Ncc => {
-                for (a, b) in rows {
-                    for ((((ab, bb), b_sum), &a), &b) in first.iter_mut().zip(&mut *second).zip(&mut *third).zip(a).zip(b) {
-                        let b = b - block.mean;
-                        *ab += a * b;
-                        *bb += b * b;
-                        *b_sum += b;
-                    }
-                }
-                let variance = (total(second) - total(third).powi(2)).max(0.0);
-                Some(1.0 - total(first) / (block.variance * variance).sqrt().max(f64::MIN_POSITIVE))
-            }
-        }
-    }
-}
-
-/// The best match of a block, from the coarsest level down, each level searching the voxels around the best of the one above.
-fn search(
-    blocks: &[Block],
-    moving: &Pyramid,
-    centre_mm: &Vector3<f64>,
-    start_mm: &Vector3<f64>,
-    settings: &BlockMatchingSettings,
-) -> Option<Match> {
-    let mut memory = Vec::new();
-    let mut best_mm = *start_mm;
-    let mut best = f64::INFINITY;
-    for depth in (0..blocks.len()).rev() {
-        let (level, block) = (&moving.levels()[depth], &blocks[depth]);
-        let step_mm = level.voxel_mm();
-        let is_coarsest = depth + 1 == blocks.len();
-        let reach = if is_coarsest { (settings.range_mm / step_mm).ceil() as i32 } else { 1 };
-        let around_mm = best_mm;
-        let seen = Surroundings::read(level, &(centre_mm + around_mm), block, reach, memory);
-        best = f64::INFINITY;
-        for shift in cube(reach) {
-            if let Some(value) = seen.dissimilarity(block, shift, settings.similarity)
-                && value < best
-            {
-                (best, best_mm) = (value, around_mm + level.axes() * Vector3::from(shift.map(f64::from)) * step_mm);
-            }
-        }
-        memory = seen.values;
-    }
-    if !best.is_finite() {
-        return None;
-    }
-    let block = blocks.first()?;
-    let finest = &moving.levels()[0];
-    for step_mm in [finest.voxel_mm(), 0.5 * finest.voxel_mm()] {
-        let mut at = |shift: Vector3<f64>| {
-            let point_mm = centre_mm + best_mm + finest.axes() * shift * step_mm;
-            let seen = Surroundings::read(finest, &point_mm, block, 0, std::mem::take(&mut memory));
-            let value = seen.dissimilarity(block, [0; 3], settings.similarity);
-            memory = seen.values;
-            value
-        };
-        let Some(middle) = at(Vector3::zeros()) else { break };
-        let mut shift = Vector3::zeros();
-        for axis in 0..3 {
-            let unit = Vector3::ith(axis, 1.0);
-            if let (Some(before), Some(after)) = (at(-unit), at(unit)) {
-                shift[axis] = parabola_minimum(before, middle, after);
-            }
-        }
-        best_mm += finest.axes() * shift * step_mm;
-        best = best.min(middle);
-    }
-    Some(Match { displacement_mm: best_mm, similarity: (1.0 - best).clamp(0.0, 1.0) })
-}
-
-/// Where the parabola through (−1, a), (0, b), (1, c) is smallest, within ±1; 0 if it is not convex.
-fn parabola_minimum(before: f64, middle: f64, after: f64) -> f64 {
-    let curvature = before - 2.0 * middle + after;
-    if curvature <= 0.0 { 0.0 } else { (0.5 * (before - after) / curvature).clamp(-1.0, 1.0) }
-}
-
-/// All offsets of a cube, from its centre outward, so that of equal matches the nearest wins.
-fn cube(reach: i32) -> Vec<[i32; 3]> {
-    let side = || -reach..=reach;
-    let mut offsets: Vec<[i32; 3]> = side().flat_map(|k| side().flat_map(move |j| side().map(move |i| [i, j, k]))).collect();
-    offsets.sort_by_key(|[i, j, k]| i * i + j * j + k * k);
-    offsets
-}
-
-/// The common affine motion of all matches by least trimmed squares, and the trust of each match: zero for the trimmed share
-/// farthest from it, otherwise $1/(1 + (r/\tau)^2)$ with τ twice the median residual (at least a tenth of a millimetre).
+/// The common affine motion of all matches by least trimmed squares, and the trust of each match: see [`trust`].
 fn trim(centres: &[Vector3<f64>], raw: &[Option<Match>], share: f64) -> (Vec<Vector3<f64>>, Vec<f64>) {
     const ROUNDS: usize = 4;
     let mut trust: Vec<f64> = raw.iter().map(|m| m.map_or(0.0, |m| m.similarity)).collect();
@@ -288,11 +141,19 @@ fn trim(centres: &[Vector3<f64>], raw: &[Option<Match>], share: f64) -> (Vec<Vec
     for _ in 0..ROUNDS {
         common = affine_motion(centres, raw, &trust);
         let residual: Vec<Option<f64>> = raw.iter().zip(&common).map(|(m, c)| m.map(|m| (m.displacement_mm - c).norm())).collect();
-        let largest = quantile(residual.iter().flatten().copied(), share);
-        let scale = (2.0 * quantile(residual.iter().flatten().copied(), 0.5)).max(0.1);
-        trust = residual.iter().map(|r| r.filter(|&r| r <= largest + 1e-9).map_or(0.0, |r| 1.0 / (1.0 + (r / scale).powi(2)))).collect();
+        trust = self::trust(residual.into_iter(), share);
     }
     (common, trust)
+}
+
+/// The trust of matches by their residuals, mm: zero for all but a `share` of them, otherwise $1/(1 + (r/\tau)^2)$ with τ twice the median
+/// residual (at least a tenth of a millimetre).
+pub(super) fn trust(residual_mm: impl Iterator<Item = Option<f64>>, share: f64) -> Vec<f64> {
+    let residual_mm: Vec<Option<f64>> = residual_mm.collect();
+    let largest_mm = quantile(residual_mm.iter().flatten().copied(), share);
+    let scale_mm = (2.0 * quantile(residual_mm.iter().flatten().copied(), 0.5)).max(0.1);
+    let one = |r: f64| if r <= largest_mm + 1e-9 { 1.0 / (1.0 + (r / scale_mm).powi(2)) } else { 0.0 };
+    residual_mm.into_iter().map(|r| r.map_or(0.0, one)).collect()
 }
 
 /// Weighted least squares d(x) = a + A (x − x̄), of least norm where the points lie in a plane or line.
@@ -320,21 +181,9 @@ fn affine_motion(centres: &[Vector3<f64>], raw: &[Option<Match>], weights: &[f64
 
 #[cfg(test)]
 mod tests {
-    use super::super::fixtures::image;
+    use super::super::fixtures::{image, waves};
     use super::*;
     use rand::{Rng, SeedableRng};
-
-    /// A smooth random texture: a sum of plane waves of 6–20 mm.
-    fn texture(seed: u64) -> impl Fn(Vector3<f64>) -> f64 {
-        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-        let mut wave = move || {
-            let direction = Vector3::from_fn(|_, _| random.random_range(-1.0..1.0)).normalize();
-            let length_mm: f64 = random.random_range(6.0..20.0);
-            (direction * std::f64::consts::TAU / length_mm, random.random_range(0.0..std::f64::consts::TAU))
-        };
-        let waves: Vec<_> = (0..40).map(|_| wave()).collect();
-        move |p| 200.0 + waves.iter().map(|(k, phase)| 20.0 * (k.dot(&p) + phase).sin()).sum::<f64>()
-    }
 
     fn noisy(volume: crate::image::Volume, amplitude: f32, seed: u64) -> crate::image::Volume {
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
@@ -349,7 +198,7 @@ mod tests {
     /// Largest error (in voxels of 1.5 mm) of the recovered shifts, by similarity and noise amplitude; the waves' rms is 89.
     fn largest_error_voxels(similarity: Similarity, noise: f32, brighter: f64) -> f64 {
         let shifts = [Vector3::zeros(), Vector3::new(1.13, -0.64, 2.41), Vector3::new(2.9, 1.7, 5.2), Vector3::new(1.2, 0.4, 2.2)];
-        let pattern = texture(7);
+        let pattern = waves(7);
         let frames = shifts.iter().enumerate().map(|(n, shift)| {
             let gain = if n == 0 { 1.0 } else { brighter };
             noisy(image(Vector3::repeat(34.0), Vector3::repeat(1.5), |p| gain * pattern(p - shift)), noise, n as u64)
@@ -397,7 +246,7 @@ mod tests {
 
     #[test]
     fn a_base_outside_the_image_is_refused() {
-        let volume = image(Vector3::repeat(20.0), Vector3::repeat(2.0), texture(1));
+        let volume = image(Vector3::repeat(20.0), Vector3::repeat(2.0), waves(1));
         let cine = CineSequence::new(vec![volume.clone(), volume], vec![0.0, 0.5], 1.0).unwrap();
         let error = match_base(&cine, 0, &[0], &[Vector3::repeat(300.0)], &BlockMatchingSettings::default()).unwrap_err();
         assert!(matches!(error, TrackingError::BaseNotCovered { vertex_count: 1 }), "{error}");

@@ -1,6 +1,7 @@
 //! Analytic images and small meshes for the tests of this room.
 
 use nalgebra::Vector3;
+use rand::{Rng, SeedableRng};
 
 use crate::image::{CineSequence, Grid, Volume};
 use crate::mesh::{SurfaceTag, TaggedSurface, TetMesh};
@@ -66,4 +67,16 @@ pub(super) fn step(distance_mm: f64, width_mm: f64) -> f64 {
 /// A cine sequence that shows one image all the time.
 pub(super) fn still(volume: Volume) -> CineSequence {
     CineSequence::new(vec![volume.clone(), volume], vec![0.0, 0.5], 1.0).unwrap()
+}
+
+/// A smooth random texture: a sum of plane waves of 6–20 mm.
+pub(super) fn waves(seed: u64) -> impl Fn(Vector3<f64>) -> f64 {
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let mut wave = move || {
+        let direction = Vector3::from_fn(|_, _| random.random_range(-1.0..1.0)).normalize();
+        let length_mm: f64 = random.random_range(6.0..20.0);
+        (direction * std::f64::consts::TAU / length_mm, random.random_range(0.0..std::f64::consts::TAU))
+    };
+    let waves: Vec<_> = (0..40).map(|_| wave()).collect();
+    move |p| 200.0 + waves.iter().map(|(k, phase)| 20.0 * (k.dot(&p) + phase).sin()).sum::<f64>()
 }

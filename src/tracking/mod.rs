@@ -7,8 +7,9 @@
 //! | `boundary` | the search of boundary points Z along the normals |
 //! | `scheme` | the image force of one vertex: explicit, published, exact, variational |
 //! | `image_force` | all surfaces as one load on the step system |
-//! | `block_matching`, `pyramid` | the motion of the base from blocks of voxels |
-//! | `base_force` | the base drawn along a known motion |
+//! | `block_matching`, `blocks`, `pyramid` | the motion of the base from blocks of voxels |
+//! | `carried_blocks` | the same from blocks that deform with the tissue |
+//! | `base_force`, `wall_force` | the base and the inside of the wall drawn along a known motion |
 //! | `force_tangents` | the derivatives of both, for tangents of tracked hearts |
 //! | `tracker`, `residuals` | one beat under these loads, and what the images say of it |
 //! | `agreement`, `section` | a tracked cavity against an expert's labels |
@@ -17,7 +18,9 @@ mod agreement;
 mod appearance;
 mod base_force;
 mod block_matching;
+mod blocks;
 mod boundary;
+mod carried_blocks;
 mod error;
 #[cfg(test)]
 mod fixtures;
@@ -30,12 +33,14 @@ mod scheme;
 mod section;
 mod thickness;
 mod tracker;
+mod wall_force;
 
 pub use agreement::{CavityAgreement, SliceAgreement};
 pub use appearance::{AppearanceSettings, SurfaceAppearance};
 pub use base_force::{BaseForce, BaseMatches, BaseMode, BaseProjection};
 pub use block_matching::{BlockMatchingSettings, Similarity, match_base};
 pub use boundary::{BoundarySearch, BoundarySettings, BoundaryTarget, SurfaceTargets};
+pub use carried_blocks::{BasePlane, CarriedMotion, match_carried};
 pub use error::TrackingError;
 pub use image_force::{ImageForce, SurfaceGain};
 pub use instant::{ImageInstant, SliceResolution};
@@ -43,3 +48,4 @@ pub use residuals::{SurfaceResidual, TrackedFrame};
 pub use scheme::{ForceScheme, VertexLoad};
 pub use section::Contour;
 pub use tracker::{PhaseWork, TrackedMotion, TrackerSettings, track};
+pub use wall_force::{WallForce, WallSettings};

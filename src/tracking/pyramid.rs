@@ -110,6 +110,27 @@ impl Level {
         })
     }
 
+    /// Whether the whole block around a point lies in the image.
+    pub(super) fn holds_block(&self, centre_mm: &Vector3<f64>, radius: usize) -> bool {
+        self.shifts(centre_mm, radius, 0).iter().all(|range| range.contains(&0))
+    }
+
+    /// The trilinear value at a point; beyond the image stands its outermost one.
+    pub(super) fn value(&self, point_mm: &Vector3<f64>) -> f32 {
+        let index = self.index_of(point_mm);
+        let last = self.shape.map(|n| n - 1);
+        let within = [0, 1, 2].map(|axis| index[axis].clamp(0.0, last[axis] as f64));
+        let low = within.map(|at| at as usize);
+        let share = [0, 1, 2].map(|axis| (within[axis] - low[axis] as f64) as f32);
+        let at = |corner: usize| {
+            let [i, j, k] = [0, 1, 2].map(|axis| (low[axis] + (corner >> axis & 1)).min(last[axis]));
+            self.values[i + self.shape[0] * (j + self.shape[1] * k)]
+        };
+        let mix = |a: f32, b: f32, share: f32| a + share * (b - a);
+        let along_i = |corner: usize| mix(at(corner), at(corner + 1), share[0]);
+        mix(mix(along_i(0), along_i(2), share[1]), mix(along_i(4), along_i(6), share[1]), share[2])
+    }
+
     fn index_of(&self, point_mm: &Vector3<f64>) -> Vector3<f64> {
         self.axes.transpose() * (point_mm - self.origin_mm) / self.voxel_mm
     }

@@ -3,13 +3,15 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
+use nalgebra::Vector3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::residuals::{TrackedFrame, frame_warnings};
 use super::{
-    AppearanceSettings, BaseForce, BaseMatches, BaseMode, BaseProjection, BoundarySearch, BoundarySettings, ForceScheme, ImageForce,
-    ImageInstant, SurfaceAppearance, SurfaceGain, TrackingError, match_base,
+    AppearanceSettings, BaseForce, BaseMatches, BaseMode, BasePlane, BaseProjection, BlockMatchingSettings, BoundarySearch,
+    BoundarySettings, CarriedMotion, ForceScheme, ImageForce, ImageInstant, SurfaceAppearance, SurfaceGain, TrackingError, WallForce,
+    WallSettings, match_base, match_carried,
 };
 use crate::circulation::Phase;
 use crate::heart::{CurveRow, HeartModel, HeartState, Parameter, SimulationPlan, Trajectory, simulate};
@@ -32,10 +34,21 @@ pub struct TrackerSettings {
     pub base: BaseMode,
     /// Which part of the way to a matched block is pulled.
     pub base_projection: BaseProjection,
+    /// How block matches draw the inside of the wall, where they do.
+    pub wall: Option<WallSettings>,
     /// Share of the surface vertices that get no force, so that their residuals can judge the gains.
     pub held_out_share: f64,
     /// Seed of the choice of held-out vertices.
     pub held_out_seed: u64,
+}
+
+impl TrackerSettings {
+    /// How often the beat is tracked: block matches are refined with the motion of the time before.
+    pub fn rounds(&self) -> usize {
+        let base = if let BaseMode::BlockMatching(blocks) = &self.base { blocks.rounds } else { 1 };
+        let wall = self.wall.map_or(1, |wall| wall.blocks.rounds.max(2));
+        base.max(wall)
+    }
 }
 
 impl Default for TrackerSettings {
@@ -47,6 +60,7 @@ impl Default for TrackerSettings {
             boundary: BoundarySettings::default(),
             base: BaseMode::Springs,
             base_projection: BaseProjection::default(),
+            wall: None,
             held_out_share: 0.0,
             held_out_seed: 1,
         }
@@ -81,7 +95,8 @@ pub struct TrackedMotion {
     pub warnings: Vec<String>,
 }
 
-/// Tracks the heart through one period of a cine sequence. `observer` sees the start and every step and may stop.
+/// Tracks the heart through one period of a cine sequence. `observer` sees the start and every step and may stop; where blocks are matched
+/// in several rounds it sees every round from the start again.
 ///
 /// The mesh of the model must be that of the reference frame. Base modes `Free` and `BlockMatching` set the model's base springs to
 /// zero; `Recorded` moves their anchors.
@@ -105,27 +120,76 @@ pub fn track(
     let surfaces = learn_surfaces(model, cine, start_s, settings, &mut warnings)?;
     let held_out = hold_out(&surfaces, anatomy.mesh.vertex_count(), settings);
     let image_force = ImageForce::new(cine, &anatomy.surface, surfaces, settings.scheme, held_out)?;
-    let base = matched_base(model, cine, settings)?;
-    let gain_base = model.parameters()[Parameter::ImageGainBase];
-    let reference_mm = anatomy.mesh.vertices_mm();
-    let base_force = base
-        .as_ref()
-        .map(|matches| BaseForce::new(&anatomy.surface, matches, reference_mm, settings.base_projection, gain_base))
-        .transpose()?;
-    let mut loads: Vec<&dyn StepLoad> = vec![&image_force];
-    loads.extend(base_force.as_ref().map(|force| force as &dyn StepLoad));
+    let mut matches = [matched_base(model, cine, settings)?, None];
+    let (mut trajectory, mut work) = run(model, cine, settings, &image_force, &matches, observer)?;
+    for _ in 1..settings.rounds() {
+        if trajectory.stopped {
+            break;
+        }
+        matches = carried_matches(model, cine, settings, &trajectory)?;
+        (trajectory, work) = run(model, cine, settings, &image_force, &matches, observer)?;
+    }
+    let seen = trajectory.frames.iter().zip(frame_order(cine, settings.reference_frame));
+    let frames: Vec<TrackedFrame> = seen.map(|(state, frame)| TrackedFrame::new(&image_force, state, frame)).collect();
+    warnings.extend(frame_warnings(&frames)?);
+    let [base, _] = matches;
+    Ok(TrackedMotion { trajectory, frames, base, work, warnings })
+}
 
-    let frame_order: Vec<usize> = (0..=frame_count).map(|n| (settings.reference_frame + n) % frame_count).collect();
-    let plan = plan_of(cine, settings.reference_frame);
+/// One beat under the loads of the images and of the matches of base and wall, and the work that image forces do in it.
+fn run(
+    model: &HeartModel,
+    cine: &CineSequence,
+    settings: &TrackerSettings,
+    image_force: &ImageForce,
+    [base, wall]: &[Option<BaseMatches>; 2],
+    observer: &mut dyn FnMut(&HeartState, &CurveRow) -> ControlFlow<()>,
+) -> Result<(Trajectory, Vec<PhaseWork>), TrackingError> {
+    let (anatomy, gain) = (model.anatomy(), model.parameters()[Parameter::ImageGainBase]);
+    let on_base = |matches| BaseForce::new(&anatomy.surface, matches, anatomy.mesh.vertices_mm(), settings.base_projection, gain);
+    let on_wall = |(matches, settings): (_, &WallSettings)| WallForce::new(&anatomy.mesh, matches, settings.gain_kpa_per_mm2);
+    let base_force = base.as_ref().map(on_base).transpose()?;
+    let wall_force = wall.as_ref().zip(settings.wall.as_ref()).map(on_wall).transpose()?;
+    let mut loads: Vec<&dyn StepLoad> = vec![image_force];
+    loads.extend(base_force.as_ref().map(|force| force as &dyn StepLoad));
+    loads.extend(wall_force.as_ref().map(|force| force as &dyn StepLoad));
     let mut ledger = WorkLedger::new(anatomy.mesh.vertex_count());
-    let trajectory = simulate(model, &plan, &loads, &mut |state, row| {
-        ledger.book(&image_force, state, row);
+    let trajectory = simulate(model, &plan_of(cine, settings.reference_frame), &loads, &mut |state, row| {
+        ledger.book(image_force, state, row);
         observer(state, row)
     })?;
-    let seen = trajectory.frames.iter().zip(&frame_order);
-    let frames: Vec<TrackedFrame> = seen.map(|(state, &frame)| TrackedFrame::new(&image_force, state, frame)).collect();
-    warnings.extend(frame_warnings(&frames)?);
-    Ok(TrackedMotion { trajectory, frames, base, work: ledger.entries(), warnings })
+    Ok((trajectory, ledger.entries()))
+}
+
+/// The frames of the cine in the order of a trajectory: the reference frame first, and again last.
+fn frame_order(cine: &CineSequence, reference_frame: usize) -> impl Iterator<Item = usize> {
+    let count = cine.frames().len();
+    (0..=count).map(move |n| (reference_frame + n) % count)
+}
+
+/// The matches of the base and of the wall, as the settings want them, of blocks that a tracked motion carries.
+fn carried_matches(
+    model: &HeartModel,
+    cine: &CineSequence,
+    settings: &TrackerSettings,
+    trajectory: &Trajectory,
+) -> Result<[Option<BaseMatches>; 2], TrackingError> {
+    let (mesh, surface) = (&model.anatomy().mesh, &model.anatomy().surface);
+    let mut frames_mm: Vec<&[Vector3<f64>]> = vec![mesh.vertices_mm(); cine.frames().len()];
+    for (state, frame) in trajectory.frames.iter().zip(frame_order(cine, settings.reference_frame)).take(cine.frames().len()) {
+        frames_mm[frame] = &state.position_mm;
+    }
+    let plane = BasePlane::of(surface, mesh.vertices_mm());
+    let carried = |vertices: Vec<usize>, blocks: &BlockMatchingSettings| {
+        let motion = CarriedMotion::new(mesh.vertices_mm(), &frames_mm, vertices, blocks.deformation_reach_mm());
+        match_carried(cine, settings.reference_frame, &motion, plane.as_ref(), blocks)
+    };
+    let base = match &settings.base {
+        BaseMode::BlockMatching(blocks) => Some(carried(surface.vertices_with(SurfaceTag::Base), blocks)?),
+        _ => None,
+    };
+    let wall = settings.wall.as_ref().map(|wall| carried((0..mesh.vertex_count()).collect(), &wall.blocks)).transpose()?;
+    Ok([base, wall])
 }
 
 /// The gain parameter of a surface.
@@ -220,7 +284,7 @@ fn matched_base(model: &HeartModel, cine: &CineSequence, settings: &TrackerSetti
 
 /// Adds up the work of the image forces while the heart beats.
 struct WorkLedger {
-    before_mm: Vec<nalgebra::Vector3<f64>>,
+    before_mm: Vec<Vector3<f64>>,
     work: Vec<(Phase, Vec<[f64; 2]>)>,
     vertex_count: usize,
 }

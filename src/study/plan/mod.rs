@@ -29,7 +29,7 @@ pub use personalisation::{BoundaryData, DataPlan, FreeParameter, OrderPlan, Pers
 pub use phantom::{ContractionPlan, ModelAnatomy, PhantomPlan};
 pub use prediction::PredictionPlan;
 pub use sensitivity::{SensitivityMethod, SensitivityPlan};
-pub use tracking::{BaseMode, GainChoice, TrackingPlan};
+pub use tracking::{BaseMode, GainChoice, TrackingPlan, WallMode};
 
 use super::provenance::Provenance;
 use super::reader::{Choice, Reader, TableReader};

@@ -36,6 +36,16 @@ words! {
 }
 
 words! {
+    /// What draws the inside of the wall, beyond its surfaces.
+    WallMode {
+        /// The model alone.
+        Model = "model",
+        /// Blocks matched around every vertex.
+        BlockMatching = "block_matching",
+    }
+}
+
+words! {
     /// How the image gains are chosen.
     GainChoice {
         /// As the study file writes them.
@@ -80,6 +90,12 @@ pub struct TrackingPlan {
     pub block_size_mm: f64,
     /// `block_range_mm`: how far around the current position a block is searched.
     pub block_range_mm: f64,
+    /// `block_rounds`: how often blocks are matched, from the second time on carried and deformed by the tracked motion.
+    pub block_rounds: usize,
+    /// `wall`.
+    pub wall: WallMode,
+    /// `wall_gain_kpa_per_mm2`: per volume, for `wall = "block_matching"`.
+    pub wall_gain_kpa_per_mm2: f64,
 }
 
 pub(super) fn read(table: TableReader, parameters: &mut Parameters, written: &mut BTreeSet<RegionalParameter>) -> TrackingPlan {
@@ -101,6 +117,9 @@ pub(super) fn read(table: TableReader, parameters: &mut Parameters, written: &mu
         similarity: table.choice("similarity", Similarity::default()),
         block_size_mm: table.number("block_size_mm", 2.0..=60.0, block_size_mm),
         block_range_mm: table.number("block_range_mm", 1.0..=40.0, blocks.range_mm),
+        block_rounds: table.count("block_rounds", 1..=10, blocks.rounds as i64),
+        wall: table.choice("wall", WallMode::Model),
+        wall_gain_kpa_per_mm2: table.number("wall_gain_kpa_per_mm2", 0.0..=1e4, 1.0),
     };
     if plan.search_step_mm > plan.search_range_mm {
         table.problem("search_step_mm", "is longer than search_range_mm", format!("choose at most {}", plan.search_range_mm));

@@ -10,9 +10,10 @@ use super::recorded_base::read_base_motion;
 use crate::heart::{HeartModel, Parameter, Parameters};
 use crate::mesh::SurfaceTag;
 use crate::study::RunContext;
-use crate::study::plan::{BaseMode, Plan};
+use crate::study::plan::{BaseMode, Plan, WallMode};
 use crate::tracking::{
-    self, BaseMode as TrackerBase, BlockMatchingSettings, BoundarySettings, CavityAgreement, TrackedMotion, TrackerSettings, track,
+    self, BaseMode as TrackerBase, BlockMatchingSettings, BoundarySettings, CavityAgreement, TrackedMotion, TrackerSettings, WallSettings,
+    track,
 };
 
 /// A tracked beat and the gains it was tracked with.
@@ -35,7 +36,7 @@ pub(super) fn track_patient(
     let settings = tracker_settings(plan, patient, images)?;
     let trial = Trial { images, settings: &settings, context };
     let (model, gain_choices) = choose_gains(model, plan.tracking.gains, plan.tracking.noise_mm, &trial)?;
-    context.progress().stage("tracking the images", Some(steps(plan, patient)));
+    context.progress().stage("tracking the images", Some(steps(plan, patient, &settings)));
     let motion = tracked_beat(&model, images, &settings, context)?;
     for warning in &motion.warnings {
         context.progress().warning(warning);
@@ -59,13 +60,13 @@ pub(super) fn track_again(
     }
     let model = heart_model(&plan.model, &patient.anatomy, scaled_gains(&parameters, factor)?)?;
     let settings = tracker_settings(plan, patient, images)?;
-    context.progress().stage("tracking the images with the heart that was found", Some(steps(plan, patient)));
+    context.progress().stage("tracking the images with the heart that was found", Some(steps(plan, patient, &settings)));
     let motion = tracked_beat(&model, images, &settings, context)?;
     Ok(Tracked { motion, parameters: model.parameters().clone(), gain_choices: Vec::new() })
 }
 
-fn steps(plan: &Plan, patient: &Patient) -> u64 {
-    step_count(&patient.clock(1), plan.model.step_s)
+fn steps(plan: &Plan, patient: &Patient, settings: &TrackerSettings) -> u64 {
+    step_count(&patient.clock(1), plan.model.step_s) * settings.rounds() as u64
 }
 
 pub(super) fn tracked_beat(
@@ -102,6 +103,13 @@ pub(super) fn tracker_settings(plan: &Plan, patient: &Patient, images: &PatientI
     let plan = &plan.tracking;
     let blocks = BlockMatchingSettings::default();
     let block_radius_voxels = (0.5 * (plan.block_size_mm / blocks.voxel_mm - 1.0)).round().max(1.0) as usize;
+    let blocks = BlockMatchingSettings {
+        similarity: plan.similarity,
+        range_mm: plan.block_range_mm,
+        block_radius_voxels,
+        rounds: plan.block_rounds,
+        ..blocks
+    };
     let base = match plan.base {
         BaseMode::Free => TrackerBase::Free,
         BaseMode::Springs => TrackerBase::Springs,
@@ -109,12 +117,11 @@ pub(super) fn tracker_settings(plan: &Plan, patient: &Patient, images: &PatientI
             Some(file) => TrackerBase::Recorded(read_base_motion(file, &patient.anatomy, period_s)?),
             None => TrackerBase::Springs,
         },
-        BaseMode::BlockMatching => TrackerBase::BlockMatching(BlockMatchingSettings {
-            similarity: plan.similarity,
-            range_mm: plan.block_range_mm,
-            block_radius_voxels,
-            ..blocks
-        }),
+        BaseMode::BlockMatching => TrackerBase::BlockMatching(blocks),
+    };
+    let wall = match plan.wall {
+        WallMode::Model => None,
+        WallMode::BlockMatching => Some(WallSettings { blocks, gain_kpa_per_mm2: plan.wall_gain_kpa_per_mm2 }),
     };
     let boundary = BoundarySettings {
         range_mm: plan.search_range_mm,
@@ -129,6 +136,7 @@ pub(super) fn tracker_settings(plan: &Plan, patient: &Patient, images: &PatientI
         boundary,
         base,
         base_projection: plan.base_projection,
+        wall,
         held_out_share: plan.held_out_fraction,
         held_out_seed: plan.seed,
         ..TrackerSettings::default()
