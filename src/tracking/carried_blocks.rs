@@ -90,7 +90,7 @@ impl BasePlane {
 }
 
 /// Matches the blocks around the vertices of a motion in every frame again, each from where the motion carries it and deformed as the
-/// motion deforms it, without what lies beyond the base. How far a match is trusted, its neighbours decide: see [`agreement`].
+/// motion deforms it, without what lies beyond the base. How far a match is trusted, its neighbours decide: see `agreement`.
 ///
 /// # Errors
 /// As [`super::match_base`].
