@@ -58,7 +58,8 @@ fn number(summary: &Value, key: &str) -> f64 {
 /// What a parameter was found to be.
 fn found(folder: &Path, name: &str) -> f64 {
     let text = std::fs::read_to_string(folder.join("parameters.csv")).unwrap();
-    text.lines().find(|line| line.starts_with(name)).unwrap().split(',').nth(4).unwrap().parse().unwrap()
+    let place = text.lines().next().unwrap().split(',').position(|head| head == "value").unwrap();
+    text.lines().find(|line| line.starts_with(name)).unwrap().split(',').nth(place).unwrap().parse().unwrap()
 }
 
 fn warns(summary: &Value, words: &str) -> bool {

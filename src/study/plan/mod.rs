@@ -27,7 +27,7 @@ pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite, SitePlan, TimeS
 pub use output::OutputPlan;
 pub use personalisation::{BoundaryData, DataPlan, FreeParameter, OrderPlan, PersonalisationPlan, Regions, Tangents, Ties, VolumeData};
 pub use phantom::{ContractionPlan, ModelAnatomy, PhantomPlan};
-pub use prediction::PredictionPlan;
+pub use prediction::{OWN_ONSET, PredictionPlan};
 pub use sensitivity::{SensitivityMethod, SensitivityPlan};
 pub use tracking::{BaseMode, GainChoice, TrackingPlan, WallMode};
 

@@ -8,6 +8,9 @@ use crate::heart::{Parameter, Parameters, Part, RegionalParameter};
 use crate::report::{FoundParameter, read_parameters};
 use crate::study::reader::{Choice, TableReader};
 
+/// Name of the heart's own onset among the predicted ones.
+pub const OWN_ONSET: &str = "own";
+
 /// One onset to be predicted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PredictionPlan {
@@ -34,6 +37,9 @@ fn read_one(table: TableReader) -> PredictionPlan {
     let is_plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '_' || letter == '-';
     if name.is_empty() || !name.chars().all(is_plain) {
         table.problem("name", "is no name of a file", "write letters, digits, - and _");
+    }
+    if name == OWN_ONSET {
+        table.problem("name", "is the name of the heart's own onset", "give it another name");
     }
     table.close();
     PredictionPlan { name, onset }

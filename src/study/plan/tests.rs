@@ -332,4 +332,5 @@ fn parameters_of_an_earlier_run_replace_those_of_the_study() {
     assert!(told(&study.replace("\"parameters.csv\"", "\"none.csv\"")).contains("names no file"));
     assert!(told(&format!("{study}[[prediction]]\n[[prediction]]\n")).contains("has \\\"normal\\\" twice"));
     assert!(told(&format!("{study}[[prediction]]\nname = \"a/b\"\n")).contains("is no name of a file"));
+    assert!(told(&format!("{study}[[prediction]]\nname = \"own\"\n")).contains("the heart's own onset"));
 }

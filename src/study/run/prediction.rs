@@ -13,7 +13,7 @@ use crate::anatomy::{Anatomy, Ventricle};
 use crate::heart::{ActivationTimes, HeartModel, Parameter, Parameters, Trajectory};
 use crate::report::figures::{Curve, Look, TimeCurves, time_curves};
 use crate::report::write_csv;
-use crate::study::plan::{ModelPlan, PredictionPlan};
+use crate::study::plan::{ModelPlan, OWN_ONSET, PredictionPlan};
 use crate::study::{Plan, RunContext};
 use crate::units::{MS_PER_S, mmhg_from_kpa};
 
@@ -81,7 +81,7 @@ fn beats(
     start_s: f64,
     context: &RunContext,
 ) -> Result<Vec<Beaten>, RunError> {
-    let own = PredictionPlan { name: "own".into(), onset: plan.model.onset.clone() };
+    let own = PredictionPlan { name: OWN_ONSET.into(), onset: plan.model.onset.clone() };
     let period_s = parameters[Parameter::HeartPeriod];
     let times_s: Vec<f64> = (0..FRAMES).map(|frame| start_s + period_s * frame as f64 / FRAMES as f64).collect();
     let one = |prediction: &PredictionPlan| -> Result<Beaten, RunError> {
