@@ -34,9 +34,9 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The lines of all blocks of commands in a document, without their remarks.
+/// The lines of all blocks of commands in a document, without their remarks; what goes on behind a backslash is one line.
 fn commands(document: &Path) -> Vec<String> {
-    let text = std::fs::read_to_string(document).unwrap();
+    let text = std::fs::read_to_string(document).unwrap().replace("\\\n", " ");
     let mut commands = Vec::new();
     let mut is_command = false;
     for line in text.lines() {
