@@ -36,7 +36,7 @@ pub struct PeriodicOutcome {
 }
 
 /// Beats a heart from `start_time_s`, as [`simulate`](super::simulate), until two consecutive beats agree, or the limit is reached. The frames are those of the
-/// last beat, at the `frame_times_s` after its start that lie within one period.
+/// last beat, at the `frame_times_s` after its start that lie within one period, its end included.
 ///
 /// # Errors
 /// The [`StepError`] of the first step that fails.
@@ -54,20 +54,28 @@ pub fn simulate_until_periodic(
     let mut before: Option<Trajectory> = None;
     let mut early_frames = Vec::new();
     let mut beat_count = 0_usize;
+    let rounding_s = 1e-9 * period_s;
+    let wants_end = frame_times_s.iter().any(|time_s| (time_s - period_s).abs() <= rounding_s);
     loop {
         // A beat ends with the step that reaches or passes its end, so that step may hold frames of the next one.
         let [start_s, end_s] = [beat_count, beat_count + 1].map(|beat| start_time_s + period_s * beat as f64);
-        let within = frame_times_s.iter().filter(|&&time_s| (0.0..period_s).contains(&time_s));
+        let within = frame_times_s.iter().filter(|&&time_s| (0.0..period_s - rounding_s).contains(&time_s));
         let times_s = within.clone().map(|time_s| start_s + time_s).chain(within.map(|time_s| end_s + time_s)).collect();
         let plan = SimulationPlan { start_time_s: state.time_s, end_time_s: end_s, frame_times_s: times_s };
         let mut beat = simulate_from(model, state, &plan, loads, observer)?;
-        let late_frames = beat.frames.split_off(beat.frames.partition_point(|frame| frame.time_s < end_s - 1e-9 * period_s));
-        beat.frames.splice(0..0, std::mem::replace(&mut early_frames, late_frames));
+        let late_frames = beat.frames.split_off(beat.frames.partition_point(|frame| frame.time_s < end_s - rounding_s));
+        let early = std::mem::replace(&mut early_frames, late_frames);
+        // A frame that one beat ends on and the next starts from is met twice.
+        let met_s = early.last().map_or(f64::NEG_INFINITY, |frame| frame.time_s + rounding_s);
+        beat.frames.retain(|frame| frame.time_s > met_s);
+        beat.frames.splice(0..0, early);
         beat_count += 1;
         curves.extend(beat.curves.iter().skip(usize::from(beat_count > 1)));
         let change_ml = before.as_ref().map_or(f64::INFINITY, |before| largest_change_ml(&before.curves, &beat.curves, period_s));
         let is_periodic = change_ml <= periodicity.tolerance_ml;
         if is_periodic || beat.stopped || beat_count >= periodicity.beat_limit {
+            let end = early_frames.first().filter(|frame| wants_end && (frame.time_s - end_s).abs() <= rounding_s);
+            beat.frames.extend(end.cloned());
             return Ok(PeriodicOutcome { last_beat: beat, curves, beat_count, change_ml, is_periodic });
         }
         state = beat.last.clone();
@@ -118,6 +126,20 @@ mod tests {
         assert_eq!(times.len(), 2, "{times:?}");
         assert!((times[0] - 0.0).abs() < 1e-9 && (times[1] - 0.4).abs() < 1e-9, "{times:?}");
         assert!(outcome.curves.windows(2).all(|pair| pair[1].time_s > pair[0].time_s), "no row stands twice");
+    }
+
+    /// Also where steps end on the start of the next beat, and its end is asked for.
+    #[test]
+    fn every_frame_of_the_last_beat_stands_once() {
+        let anatomy = Arc::new(IdealisedLv { resolution: [12, 6, 1], ..IdealisedLv::default() }.anatomy());
+        let parameters = Parameters::default().with(Parameter::HeartPeriod, 0.8).unwrap();
+        let model = HeartModel::new(anatomy, parameters, ModelSettings { step_s: 0.01, ..ModelSettings::default() }).unwrap();
+        let times_s: Vec<f64> = (0..=8).map(|frame| 0.1 * f64::from(frame)).collect();
+        let periodicity = Periodicity { tolerance_ml: 1e-12, beat_limit: 3 };
+        let beat = simulate_until_periodic(&model, -0.15, &times_s, periodicity, &[], &mut |_, _| ControlFlow::Continue(())).unwrap();
+        let found_s: Vec<f64> = beat.last_beat.frames.iter().map(|frame| frame.time_s + 0.15 - 1.6).collect();
+        assert_eq!(found_s.len(), times_s.len(), "{found_s:?}");
+        assert!(found_s.iter().zip(&times_s).all(|(found, wanted)| (found - wanted).abs() < 1e-9), "{found_s:?}");
     }
 
     #[test]
