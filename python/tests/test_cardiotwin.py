@@ -147,6 +147,8 @@ def test_an_exception_of_the_callback_stops_the_run_and_is_raised(tmp_path):
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_ctrl_c_raises_keyboard_interrupt_and_what_was_found_is_written(tmp_path):
     study = cardiotwin.Study(study_file(tmp_path), settings={"mechanics.step_s": 0.0001, "simulation.beats": 500})
+    # Whoever starts the tests in the background may have had the signal ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     timer = threading.Timer(2.0, lambda: os.kill(os.getpid(), signal.SIGINT))
     timer.start()
     with pytest.raises(KeyboardInterrupt):
