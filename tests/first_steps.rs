@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a test may stop at the first surprise, and says what it could not look at")]
 
+mod common;
+
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -16,10 +18,7 @@ fn cardiotwin(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
 }
 
 fn fresh_folder(name: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("first_steps").join(name);
-    let _ = std::fs::remove_dir_all(&folder);
-    std::fs::create_dir_all(&folder).unwrap();
-    folder
+    common::fresh_folder("first_steps", name)
 }
 
 /// The files of a coarse phantom of two ventricles: cine, labels of every frame, labels of two frames, a mesh.
@@ -89,7 +88,8 @@ fn a_cine_and_labels_become_a_personalisation_whose_frame_and_codes_were_looked_
 fn labels_of_every_frame_are_the_anatomy_and_the_volume_curve() {
     let (study, said, _) = init("every_frame", &["cine.nii.gz", "labels.nii.gz"]);
     has_lines(&study, &["labels = \"labels.nii.gz\"", "volumes = \"labels.nii.gz\"", "volumes_code_cavity_lv = 1"]);
-    assert!(said.contains("the one whose cavity is the largest"), "{said}");
+    assert!(said.contains("end-diastole, where the labelled cavity is the largest"), "{said}");
+    assert!(!study.lines().any(|line| line.starts_with("label_slices")), "all slices show the ventricle");
 }
 
 #[test]
@@ -143,6 +143,25 @@ fn real_drawings_are_given_back_to_their_frames() {
     let apart = |found: i64, drawn: i64| (found - drawn).rem_euclid(20).min((drawn - found).rem_euclid(20));
     assert!(frames.len() == 2 && apart(frames[0], 19) <= 2 && apart(frames[1], 6) <= 2, "{frames:?}");
     has_lines(&study, &["timing = \"meta.json\"", "labels = \"labels_ED_crop.nii.gz\""]);
+    assert_eq!(cardiotwin(&folder, &["check", "study.toml"]).0, 0);
+}
+
+/// Automatic contours of every frame that leave the ventricle above slice 13: those slices are left out, and end-diastole is the one that was found by eye.
+#[test]
+fn contours_that_leave_the_ventricle_do_not_choose_its_start() {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/sri_E774");
+    if !data.is_dir() {
+        eprintln!("SKIPPED: {} is not at hand", data.display());
+        return;
+    }
+    let folder = fresh_folder("animal");
+    let files = ["cine_sax_crop.nii.gz", "labels_lv_auto_all_frames_crop.nii.gz", "meta.json"].map(|file| data.join(file));
+    let arguments: Vec<&str> = std::iter::once("init").chain(files.iter().map(|file| file.to_str().unwrap())).collect();
+    let (code, said, err) = cardiotwin(&folder, &arguments);
+    assert_eq!(code, 0, "{err}");
+    let study = std::fs::read_to_string(folder.join("study.toml")).unwrap();
+    has_lines(&study, &["frame = 1", "label_slices = [0, 13]", "volumes_slices = [0, 13]"]);
+    assert!(said.contains("80.9 mL; the least is 57.1 mL on frame 11") && said.contains("slices    0 to 13"), "{said}");
     assert_eq!(cardiotwin(&folder, &["check", "study.toml"]).0, 0);
 }
 

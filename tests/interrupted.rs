@@ -4,15 +4,14 @@
 #![cfg(unix)]
 #![allow(clippy::unwrap_used, reason = "a test may stop at the first surprise")]
 
+mod common;
+
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 fn fresh_folder(name: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("interrupted").join(name);
-    let _ = std::fs::remove_dir_all(&folder);
-    std::fs::create_dir_all(&folder).unwrap();
-    folder
+    common::fresh_folder("interrupted", name)
 }
 
 /// Every file below a folder.
@@ -40,6 +39,7 @@ fn stopped_and_run_again(name: &str, text: &str, stage: &str, endless: &[&str], 
     // What an earlier run left must not pass for the result of this one.
     std::fs::create_dir(&results).unwrap();
     std::fs::write(results.join("summary.json"), "{\"status\": \"converged\"}").unwrap();
+    std::fs::write(results.join("report.html"), "Finished.").unwrap();
 
     let mut run = cardiotwin(&study, endless).spawn().unwrap();
     let mut lines = BufReader::new(run.stderr.take().unwrap()).lines().map(Result::unwrap);
@@ -51,6 +51,8 @@ fn stopped_and_run_again(name: &str, text: &str, stage: &str, endless: &[&str], 
 
     let summary = |file: &Path| -> serde_json::Value { serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap() };
     assert_eq!(summary(&results.join("summary.json"))["status"], "stopped");
+    let report = || std::fs::read_to_string(results.join("report.html")).unwrap();
+    assert!(report().contains("Stopped by hand") && report().trim_end().ends_with("</html>"), "{name}");
     for file in files_below(&folder) {
         let name = file.file_name().unwrap().to_string_lossy().into_owned();
         assert!(!name.starts_with(".writing-"), "{name} is left");
@@ -65,6 +67,7 @@ fn stopped_and_run_again(name: &str, text: &str, stage: &str, endless: &[&str], 
     let again = cardiotwin(&study, quick).output().unwrap();
     assert_eq!(again.status.code(), Some(0), "{}", String::from_utf8_lossy(&again.stderr));
     assert_eq!(summary(&results.join("summary.json"))["status"], "converged");
+    assert!(report().contains("Finished."), "{name}");
 }
 
 const HEART: &str = "[anatomy]\nedge_length_mm = 12.0\n[anatomy.idealised_lv]\n[output]\nfigures = false\n[mechanics]\nstep_s = 0.02\n";
@@ -75,10 +78,46 @@ fn a_simulation_is_stopped_and_run_again() {
     stopped_and_run_again("simulate", &format!("kind = \"simulate\"\n{HEART}"), "beating", &endless, &[]);
 }
 
+const TRACKING: &str = "[phantom]\nframes = 6\nvoxel_size_mm = 3.0\n";
+
 #[test]
 fn a_tracked_beat_is_stopped_and_run_again() {
-    let text = format!("kind = \"track\"\n{HEART}[phantom]\nframes = 6\nvoxel_size_mm = 3.0\n");
+    let text = format!("kind = \"track\"\n{HEART}{TRACKING}");
     stopped_and_run_again("track", &text, "tracking the images", &["mechanics.step_s=0.0005"], &[]);
+}
+
+/// A study that is stopped between its runs shows those that are done, and goes on with the others.
+#[test]
+fn a_screening_is_stopped_and_goes_on() {
+    let text = format!(
+        "kind = \"sensitivity\"\n{HEART}[sensitivity]\nmethod = \"morris\"\npaths = 40\noutputs = [\"ejection_fraction_lv\"]\n\
+         [[sensitivity.input]]\nname = \"contraction_peak_lv_kpa\"\nlower = 60\nupper = 200\n\
+         [[sensitivity.input]]\nname = \"heart_period_s\"\nlower = 0.7\nupper = 0.9\n"
+    );
+    stopped_and_run_again("sensitivity", &text, "running the heart", &[], &[]);
+}
+
+/// The second Ctrl-C ends a program that is busy writing a large file, at once and without a trace of that file.
+#[test]
+fn a_second_ctrl_c_leaves_nothing_half_written() {
+    let folder = fresh_folder("twice");
+    let study = folder.join("study.toml");
+    let images = "[phantom]\nframes = 20\nvoxel_size_mm = 2.0\nslice_thickness_mm = 2.0\n";
+    std::fs::write(&study, format!("kind = \"phantom\"\n{HEART}{images}")).unwrap();
+    let mut run = cardiotwin(&study, &[]).spawn().unwrap();
+    let mut lines = BufReader::new(run.stderr.take().unwrap()).lines().map(Result::unwrap);
+    let half_written = || files_below(&folder).into_iter().filter(|file| file.to_string_lossy().contains(".writing-")).count();
+    while half_written() == 0 {
+        assert!(run.try_wait().unwrap().is_none(), "it ended before anything was seen to be written");
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+    let press = || assert!(Command::new("kill").args(["-INT", &run.id().to_string()]).status().unwrap().success());
+    press();
+    assert!(lines.any(|line| line.contains("Ctrl-C again ends at once")), "the first was not heard");
+    press();
+    assert_eq!(run.wait().unwrap().code(), Some(130));
+    assert_eq!(half_written(), 0);
+    assert!(!folder.join("results/cine.nii.gz").exists() && !folder.join("results/summary.json").exists(), "it was not at once");
 }
 
 #[test]

@@ -3,6 +3,8 @@
 #![cfg(unix)]
 #![allow(clippy::unwrap_used, reason = "a test may stop at the first surprise")]
 
+mod common;
+
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::OnceLock;
@@ -41,11 +43,7 @@ upper = 0.9
 
 /// The study in an empty folder of its own, and the folder of its results.
 fn study(name: &str, text: &str) -> (PathBuf, PathBuf) {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("many_runs").join(name);
-    let _ = std::fs::remove_dir_all(&folder);
-    std::fs::create_dir_all(&folder).unwrap();
-    std::fs::write(folder.join("study.toml"), text).unwrap();
-    (folder.join("study.toml"), folder.join("results"))
+    common::fresh_study("many_runs", name, text)
 }
 
 fn command(study: &Path, results: &Path, more: &[&str]) -> Command {

@@ -4,6 +4,8 @@
 #![cfg(unix)]
 #![allow(clippy::unwrap_used, reason = "a test may stop at the first surprise")]
 
+mod common;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
@@ -41,10 +43,7 @@ upper = 0.45
 const FROM_TRUTH: &str = "[personalisation]\nvolumes = \"truth\"\nboundary = \"truth\"\nretrack = false\ntolerance = 1e-6\n";
 
 fn folder(name: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("personalise").join(name);
-    let _ = std::fs::remove_dir_all(&folder);
-    std::fs::create_dir_all(&folder).unwrap();
-    folder
+    common::fresh_folder("personalise", name)
 }
 
 fn study(folder: &Path, name: &str, kind: &str, text: &str) -> PathBuf {

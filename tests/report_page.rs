@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may stop at the first surprise")]
 
+mod common;
+
 use std::path::{Path, PathBuf};
 
 /// A beat of a coarse left ventricle.
@@ -23,10 +25,7 @@ const COARSE: [&str; 5] =
     ["anatomy.edge_length_mm=12", "phantom.frames=6", "personalisation.max_iterations=1", "mechanics.step_s=0.02", "output.figures=false"];
 
 fn fresh_folder(name: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("report_page").join(name);
-    let _ = std::fs::remove_dir_all(&folder);
-    std::fs::create_dir_all(&folder).unwrap();
-    folder
+    common::fresh_folder("report_page", name)
 }
 
 /// Runs a study file and reads the report of its folder.
@@ -41,10 +40,7 @@ fn report_of(command: &str, file: &Path, folder: &Path, settings: &[&str]) -> St
 }
 
 fn written(name: &str, text: &str) -> (PathBuf, PathBuf) {
-    let folder = fresh_folder(name);
-    let file = folder.join("study.toml");
-    std::fs::write(&file, text).unwrap();
-    (file, folder.join("results"))
+    common::fresh_study("report_page", name, text)
 }
 
 /// What holds of every report, whatever it shows.
@@ -110,6 +106,31 @@ fn a_personalised_phantom_has_all_its_parts() {
         assert!(paths.iter().all(|surfaces| surfaces[0].as_str().unwrap().starts_with('M')), "a frame has no contour");
         assert_ne!(paths[0], paths[3], "the contours do not move");
     }
+}
+
+/// What pacing would do to the heart that was found, beside what it does to the true one; and no report where none is wanted.
+#[test]
+fn predictions_stand_beside_their_own_onset_and_the_truth() {
+    let study = Path::new(env!("CARGO_MANIFEST_DIR")).join("studies/20_pacing_prediction/study.toml");
+    let folder = fresh_folder("prediction");
+    let html = report_of("run", &study, &folder, &COARSE);
+    let part = html.split(">Predictions</h2>").nth(1).unwrap().split("</section>").next().unwrap();
+    for words in ["own onset", "biventricular pacing", "(true ", "LV pressure under each onset", "Activation, normal"] {
+        assert!(part.contains(words), "{words}");
+    }
+    let file = folder.join("predictions.csv");
+    let mut table = csv::Reader::from_path(&file).unwrap();
+    let place = table.headers().unwrap().iter().position(|name| name == "total_activation_time_ms").unwrap();
+    for row in table.records().map(Result::unwrap) {
+        let shown = format!("{:.0}", row[place].parse::<f64>().unwrap());
+        assert!(part.contains(&shown), "{row:?} is not shown");
+    }
+    let beat = "kind = \"simulate\"\n[anatomy]\nedge_length_mm = 12.0\n[anatomy.idealised_lv]\n[mechanics]\nstep_s = 0.02\n";
+    let file = folder.join("beat.toml");
+    std::fs::write(&file, format!("{beat}[output]\nfigures = false\nreport = false\n")).unwrap();
+    let mut run = assert_cmd::Command::new(assert_cmd::cargo::cargo_bin("cardiotwin"));
+    run.arg("run").arg(&file).arg("-o").arg(&folder).assert().success();
+    assert!(folder.join("summary.json").is_file() && !folder.join("report.html").exists(), "an earlier one would pass for this run's");
 }
 
 #[test]

@@ -10,6 +10,7 @@ use super::exit::Exit;
 use super::messages::plan_lines;
 use super::progress::TerminalProgress;
 use super::{plan_of, print};
+use crate::report::stop_writing;
 use crate::study::Choice;
 use crate::study::{Cohort, Config, Outcome, Overrides, Plan, RunContext, RunError, merge, run};
 
@@ -70,12 +71,13 @@ fn result_lines(outcome: &Outcome) -> String {
     format!("{headlines}{}; results are in {}\n", outcome.status.word(), outcome.directory.display())
 }
 
-/// A flag that Ctrl-C sets; a second Ctrl-C ends the program at once.
+/// A flag that Ctrl-C sets; a second Ctrl-C ends the program at once, without anything half-written.
 fn stop_on_interrupt(progress: Arc<TerminalProgress>) -> anyhow::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let pressed = Arc::clone(&stop);
     ctrlc::set_handler(move || {
         if pressed.swap(true, Ordering::Relaxed) {
+            let _writing = stop_writing();
             std::process::exit(130);
         }
         progress.note("stopping at the next step; what was found is written (Ctrl-C again ends at once)");

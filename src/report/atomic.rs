@@ -2,7 +2,8 @@
 
 use std::fs;
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use super::ReportError;
 
@@ -22,6 +23,17 @@ pub fn write_atomically(file: &Path, write: impl FnOnce(&mut dyn Write) -> io::R
     replace(file, write).map_err(|source| ReportError::Write { file: file.to_path_buf(), source })
 }
 
+/// Takes a file away, if it is there.
+///
+/// # Errors
+/// [`ReportError::Write`] with the system's reason.
+pub fn remove(file: &Path) -> Result<(), ReportError> {
+    match fs::remove_file(file) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        other => other.map_err(|source| ReportError::Write { file: file.to_path_buf(), source }),
+    }
+}
+
 fn replace(file: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
     let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
@@ -29,12 +41,40 @@ fn replace(file: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) ->
     // A temporary file is private by default; results are made as any other file, as the user's umask says.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut temporary = builder.tempfile_in(folder)?;
+    let mut temporary = {
+        let mut under_way = under_way();
+        let temporary = builder.tempfile_in(folder)?;
+        under_way.push(temporary.path().to_path_buf());
+        temporary
+    };
+    let path = temporary.path().to_path_buf();
     let mut buffered = BufWriter::new(temporary.as_file_mut());
-    write(&mut buffered)?;
-    buffered.flush()?;
+    let written = write(&mut buffered).and_then(|()| buffered.flush());
     drop(buffered);
-    temporary.persist(file).map(drop).map_err(|error| error.error)
+    let mut under_way = under_way();
+    under_way.retain(|other| *other != path);
+    written.and_then(|()| temporary.persist(file).map(drop).map_err(|error| error.error))
+}
+
+/// The temporary files of this process. They are a matter of the whole process, and so is their list: only its end asks for it.
+static UNDER_WAY: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+fn under_way() -> MutexGuard<'static, Vec<PathBuf>> {
+    UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// As long as it lives no file is begun or put in its place.
+#[derive(Debug)]
+pub struct WritingStopped(#[allow(dead_code, reason = "held, not read")] MutexGuard<'static, Vec<PathBuf>>);
+
+/// Takes away whatever is half-written, and lets nothing more be written: for a program that is about to end at once.
+pub fn stop_writing() -> WritingStopped {
+    let under_way = under_way();
+    for file in under_way.iter() {
+        // What cannot be removed cannot be told any more either.
+        let _there_or_not = fs::remove_file(file);
+    }
+    WritingStopped(under_way)
 }
 
 #[cfg(test)]

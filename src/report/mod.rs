@@ -10,7 +10,7 @@ mod ledger;
 mod series;
 mod tables;
 
-pub use atomic::{create_folder, write_atomically};
+pub use atomic::{WritingStopped, create_folder, remove, stop_writing, write_atomically};
 pub use error::ReportError;
 pub use fingerprint::{FINGERPRINT_START, fingerprint, fingerprint_on};
 pub use ledger::{Ledger, LedgerContents, LedgerRow};

@@ -19,6 +19,6 @@ pub use curves::{
 pub use loops::{LoopPoint, PressureVolumeLoop, pressure_volume_loop};
 pub use montage::{Contour, Montage, MontagePanel, slice_montage};
 pub use parameters::{ParameterInterval, parameter_intervals};
-pub use ranking::{RankedInput, ranking};
+pub use ranking::{Bar, ranking};
 pub use strains::{StrainCurves, StrainPanel, strain_curves};
 pub use surface::{SurfaceMap, SurfaceView, surface_map};

@@ -8,12 +8,12 @@ use plotters::style::text_anchor::HPos;
 use super::style::*;
 use crate::report::ReportError;
 
-/// An input of a ranking.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RankedInput {
+/// A bar of a ranking.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Bar {
     /// Its name.
     pub name: String,
-    /// What it does.
+    /// Its length.
     pub value: f64,
     /// Interval of that.
     pub interval: Option<(f64, f64)>,
@@ -34,11 +34,11 @@ const LETTER: u32 = 14;
 ///
 /// # Errors
 /// [`ReportError`] if the figure cannot be drawn or written.
-pub fn ranking(file: &Path, title: &str, quantity: &str, beside: Option<&str>, inputs: &[RankedInput]) -> Result<(), ReportError> {
+pub fn ranking(file: &Path, title: &str, quantity: &str, beside: Option<&str>, inputs: &[Bar]) -> Result<(), ReportError> {
     let letters = inputs.iter().map(|input| input.name.chars().count() as u32).max().unwrap_or(0);
     let left = LETTER * letters + 60;
     let bottom = HEAD + ROW * inputs.len().max(1) as u32;
-    let ends = |input: &RankedInput| {
+    let ends = |input: &Bar| {
         let (low, high) = input.interval.unwrap_or((input.value, input.value));
         [0.0, input.value, low, high, input.beside.unwrap_or(0.0)]
     };

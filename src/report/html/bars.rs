@@ -5,6 +5,7 @@ use std::fmt::Write;
 use super::escape::escaped;
 use super::number::{place, readable, ticks};
 use super::plot::{figure, open};
+use crate::report::figures::Bar;
 
 /// Bars, one below the other.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -17,19 +18,6 @@ pub struct Bars {
     pub beside: Option<String>,
     /// The bars, first on top.
     pub bars: Vec<Bar>,
-}
-
-/// A bar.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct Bar {
-    /// Its name.
-    pub name: String,
-    /// Its length.
-    pub value: f64,
-    /// An interval of that.
-    pub interval: Option<(f64, f64)>,
-    /// The second measure.
-    pub beside: Option<f64>,
 }
 
 const WIDTH: f64 = 640.0;

@@ -13,30 +13,24 @@ pub enum Scale {
 }
 
 /// viridis (Smith and van der Walt), in nine steps.
-const VIRIDIS: [[u8; 3]; 9] = [
-    [68, 1, 84],
-    [71, 45, 123],
-    [59, 82, 139],
-    [44, 114, 142],
-    [33, 145, 140],
-    [40, 174, 128],
-    [94, 201, 98],
-    [173, 220, 48],
-    [253, 231, 37],
-];
+const VIRIDIS: [[u8; 3]; 9] =
+    colours([0x44_01_54, 0x47_2d_7b, 0x3b_52_8b, 0x2c_72_8e, 0x21_91_8c, 0x28_ae_80, 0x5e_c9_62, 0xad_dc_30, 0xfd_e7_25]);
 
 /// `RdBu` of `ColorBrewer`, blue first.
-const BLUE_TO_RED: [[u8; 3]; 9] = [
-    [33, 102, 172],
-    [67, 147, 195],
-    [146, 197, 222],
-    [209, 229, 240],
-    [247, 247, 247],
-    [253, 219, 199],
-    [244, 165, 130],
-    [214, 96, 77],
-    [178, 24, 43],
-];
+const BLUE_TO_RED: [[u8; 3]; 9] =
+    colours([0x21_66_ac, 0x43_93_c3, 0x92_c5_de, 0xd1_e5_f0, 0xf7_f7_f7, 0xfd_db_c7, 0xf4_a5_82, 0xd6_60_4d, 0xb2_18_2b]);
+
+/// Colours from `0xrr_gg_bb`.
+const fn colours(codes: [u32; 9]) -> [[u8; 3]; 9] {
+    let mut colours = [[0; 3]; 9];
+    let mut n = 0;
+    while n < 9 {
+        let [_, r, g, b] = codes[n].to_be_bytes();
+        colours[n] = [r, g, b];
+        n += 1;
+    }
+    colours
+}
 
 impl Scale {
     /// Its colours at even distances.

@@ -17,7 +17,7 @@ mod plot;
 mod slices;
 mod table;
 
-pub use bars::{Bar, Bars};
+pub use bars::Bars;
 pub use bulls_eye::BullsEye;
 pub use colour::Scale;
 pub use heart::{BeatingHeart, SurfaceField, SurfaceValues};

@@ -261,7 +261,7 @@
     slider.addEventListener("input", () => show(Number(slider.value)));
     listeners.push((number) => {
       slider.value = number;
-      const words = `${Math.round(times[number])} ms, frame ${number + 1} of ${times.length}`;
+      const words = `${String(Math.round(times[number])).replace("-", "−")} ms, frame ${number + 1} of ${times.length}`;
       instant.textContent = words;
       slider.setAttribute("aria-valuetext", words);
     });

@@ -216,8 +216,7 @@ impl Cohort {
         rows: &BTreeMap<String, LedgerRow>,
         is_stopped: bool,
     ) -> Result<Outcome, RunError> {
-        report::write(&self.directory.join("cohort.md"), &self.name, table, patients, rows)?;
-        report::write_html(&self.directory.join("report.html"), &self.name, table, patients, rows)?;
+        report::write(&self.directory, &self.name, table, patients, rows)?;
         Ok(self.outcome(table, patients, rows, is_stopped))
     }
 

@@ -6,29 +6,25 @@ use std::path::Path;
 
 use super::CohortPatient;
 use super::table::PatientTable;
-use crate::report::html::{Bar, Bars, Block, Page, Section, Table, write_page};
+use crate::report::figures::Bar;
+use crate::report::html::{Bars, Block, Page, Section, Table, write_page};
 use crate::report::{LedgerRow, ReportError, write_atomically};
 
-/// Writes the report of `patients`; those without a row were not run.
+/// Writes `cohort.md` and `report.html` of `patients` into a folder; those without a row were not run.
 pub(super) fn write(
-    file: &Path,
+    folder: &Path,
     name: &str,
     table: &PatientTable,
     patients: &[&CohortPatient],
     rows: &BTreeMap<String, LedgerRow>,
 ) -> Result<(), ReportError> {
     let text = text(name, table, patients, rows);
-    write_atomically(file, |out| out.write_all(text.as_bytes()))
+    write_atomically(&folder.join("cohort.md"), |out| out.write_all(text.as_bytes()))?;
+    write_page(&folder.join("report.html"), &page(name, table, patients, rows))
 }
 
-/// Writes the page of `patients`, with a link to the report of every one that has been run.
-pub(super) fn write_html(
-    file: &Path,
-    name: &str,
-    table: &PatientTable,
-    patients: &[&CohortPatient],
-    rows: &BTreeMap<String, LedgerRow>,
-) -> Result<(), ReportError> {
+/// The page of `patients`, with a link to the report of every one that has been run.
+fn page(name: &str, table: &PatientTable, patients: &[&CohortPatient], rows: &BTreeMap<String, LedgerRow>) -> Page {
     let run: Vec<(&CohortPatient, &LedgerRow)> = patients.iter().filter_map(|patient| Some((*patient, rows.get(&patient.name)?))).collect();
     let failed = run.iter().filter(|(_, row)| table.has_failed(row)).count();
     let missing = patients.len() - run.len();
@@ -51,7 +47,7 @@ pub(super) fn write_html(
         blocks.extend([Block::Text("What failed:".into()), Block::Warnings(reasons)]);
     }
     let bars = figures.iter().map(|figure| Block::Bars(of_figure(table, figure, &run))).collect();
-    let page = Page {
+    Page {
         title: name.trim_end_matches(".toml").replace('_', " "),
         question: "The same study for every patient of a cohort.".into(),
         status: (format!("{} patients: {failed} failed, {missing} not run.", patients.len()), failed + missing == 0),
@@ -61,8 +57,7 @@ pub(super) fn write_html(
             Section { title: "Side by side".into(), blocks: vec![Block::Beside(bars)] },
         ],
         ..Page::default()
-    };
-    write_page(file, &page)
+    }
 }
 
 /// A figure of all patients.

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::labels::{best_frame, codes_of};
+use super::labels::{LabelledBeat, best_frame, codes_of};
 use super::{DraftInputs, InitError, MaskFiles};
 use crate::image::{
     CineSequence, CineTiming, HeartCodes, ImageSummary, LabelMap, read_cine_source, read_label_map, read_label_maps, read_nifti, summarise,
@@ -33,7 +33,7 @@ pub(super) enum FrameFinding {
     Told(usize),
     /// Blood and wall differ most there.
     Fits(usize),
-    /// Of labels of every frame, the one of the largest cavity.
+    /// Of labels of every frame, the one of the largest cavity, which is end-diastole.
     Largest(usize),
 }
 
@@ -61,10 +61,10 @@ pub(super) struct CineFinding {
 pub(super) struct LabelFinding {
     pub(super) path: PathBuf,
     pub(super) codes: DrawnCodes,
-    /// The map with the largest LV cavity.
+    /// The map; of several that at end-diastole.
     map: LabelMap,
-    /// Frame of that map where there are several.
-    largest: Option<usize>,
+    /// The cavity through the beat where there are several.
+    pub(super) beat: Option<LabelledBeat>,
     /// Frame of a map of one frame.
     pub(super) frame: Option<usize>,
     cavity_ml: f64,
@@ -73,7 +73,7 @@ pub(super) struct LabelFinding {
 impl LabelFinding {
     /// Whether it has labels of several frames.
     pub(super) fn is_of_every_frame(&self) -> bool {
-        self.largest.is_some()
+        self.beat.is_some()
     }
 }
 
@@ -192,7 +192,7 @@ impl Findings {
     fn find_frames(&mut self, told: Option<usize>) -> Result<(), InitError> {
         let cine = self.cine.as_ref().and_then(|cine| cine.cine.as_ref());
         let fitting = |blood: &LabelMap, code: Option<u8>| cine.and_then(|cine| best_frame(cine, blood, code));
-        for labels in self.labels.iter_mut().filter(|labels| labels.largest.is_none()) {
+        for labels in self.labels.iter_mut().filter(|labels| labels.beat.is_none()) {
             labels.frame = fitting(&labels.map, Some(labels.codes.cavity_lv()));
         }
         self.frame = match (told, &self.masks, self.labels.first()) {
@@ -200,8 +200,8 @@ impl Findings {
             (None, Some(masks), _) => {
                 fitting(&read_label_map(&masks.endocardium_lv)?, None).map_or(FrameFinding::Unknown, FrameFinding::Fits)
             }
-            (None, None, Some(labels)) => match (labels.largest, labels.frame) {
-                (Some(frame), _) => FrameFinding::Largest(frame),
+            (None, None, Some(labels)) => match (&labels.beat, labels.frame) {
+                (Some(beat), _) => FrameFinding::Largest(beat.end_diastole()),
                 (None, Some(frame)) => FrameFinding::Fits(frame),
                 (None, None) => FrameFinding::Unknown,
             },
@@ -225,14 +225,14 @@ fn ending(path: &Path) -> String {
 
 fn labels_of(path: &Path) -> Result<LabelFinding, InitError> {
     let useless = |reason: &str| InitError::Useless { file: path.into(), reason: reason.into() };
-    let maps = read_label_maps(path)?;
-    let is_of_every_frame = maps.len() > 1;
+    let mut maps = read_label_maps(path)?;
     let fullest = maps.iter().max_by_key(|map| map.labels().iter().filter(|&&code| code != 0).count());
     let codes = fullest.and_then(codes_of).ok_or_else(|| useless("its labels are empty"))?;
-    let blood = |map: &LabelMap| map.count(codes.cavity_lv());
-    let (frame, map) = maps.into_iter().enumerate().max_by_key(|(_, map)| blood(map)).ok_or_else(|| useless("it holds no frame"))?;
-    let cavity_ml = blood(&map) as f64 * map.grid().voxel_volume_mm3() / 1000.0;
-    Ok(LabelFinding { path: path.into(), codes, map, largest: is_of_every_frame.then_some(frame), frame: None, cavity_ml })
+    let beat = LabelledBeat::new(&maps, codes.cavity_lv());
+    let (frame, is_of_every_frame) = (beat.end_diastole(), maps.len() > 1);
+    let cavity_ml = beat.volumes_ml.get(frame).copied().ok_or_else(|| useless("it holds no frame"))?;
+    let map = maps.swap_remove(frame);
+    Ok(LabelFinding { path: path.into(), codes, map, beat: is_of_every_frame.then_some(beat), frame: None, cavity_ml })
 }
 
 fn mesh_of(path: &Path) -> Result<MeshFinding, InitError> {

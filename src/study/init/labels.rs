@@ -2,6 +2,7 @@
 
 use super::files::DrawnCodes;
 use crate::image::{CineSequence, HeartCodes, LabelMap, Volume};
+use crate::numerics::mean;
 
 /// A code with fewer voxels than this share of all that is drawn is a speck.
 const SPECK: f64 = 0.005;
@@ -53,6 +54,88 @@ fn faces(map: &LabelMap) -> Vec<u32> {
         }
     }
     touching
+}
+
+/// A slice whose cavity follows that of the middle ventricle through the beat shows the ventricle (correlation).
+const FOLLOWS: f64 = 0.7;
+
+/// One that changes less than this within a frame, of its mean, holds still, and shows the ventricle if it does not do the opposite. Labels that
+/// have left the ventricle for the atrium, the aorta or nothing at all do neither.
+const STILL: f64 = 0.5;
+
+/// The cavity in labels of every frame: which slices show the ventricle, and its volume on them.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct LabelledBeat {
+    /// First and last slice that show the ventricle, where some do not.
+    pub(super) slices: Option<[usize; 2]>,
+    /// Volume of the cavity in those slices at every frame, mL.
+    pub(super) volumes_ml: Vec<f64>,
+}
+
+impl LabelledBeat {
+    /// Goes from the slice of the largest cavity towards base and apex while slices show the ventricle. Frames without labels do not count; where
+    /// fewer than four have any, all slices are kept.
+    pub(super) fn new(maps: &[LabelMap], code: u8) -> Self {
+        let areas = areas(maps, code);
+        let slices = ventricle(&areas).filter(|[first, last]| last + 1 - first < areas.len());
+        let voxel_ml = maps.first().map_or(0.0, |map| map.grid().voxel_volume_mm3() / 1000.0);
+        let [first, last] = slices.unwrap_or([0, areas.len().saturating_sub(1)]);
+        let volume = |frame: usize| voxel_ml * areas.iter().take(last + 1).skip(first).map(|slice| slice[frame]).sum::<f64>();
+        Self { slices, volumes_ml: (0..maps.len()).map(volume).collect() }
+    }
+
+    /// The frame of the largest cavity; the first of several.
+    pub(super) fn end_diastole(&self) -> usize {
+        let larger = |best: usize, (frame, volume): (usize, &f64)| if *volume > self.volumes_ml[best] { frame } else { best };
+        self.volumes_ml.iter().enumerate().fold(0, larger)
+    }
+
+    /// The labelled frame of the smallest cavity.
+    pub(super) fn end_systole(&self) -> usize {
+        let labelled = self.volumes_ml.iter().enumerate().filter(|(_, volume)| **volume > 0.0);
+        labelled.min_by(|(_, a), (_, b)| a.total_cmp(b)).map_or(0, |(frame, _)| frame)
+    }
+}
+
+/// Voxels of the cavity by slice and frame.
+fn areas(maps: &[LabelMap], code: u8) -> Vec<Vec<f64>> {
+    let Some([ni, nj, nk]) = maps.first().map(|map| map.grid().shape()) else { return Vec::new() };
+    let area =
+        |map: &LabelMap, k: usize| (0..nj).flat_map(|j| (0..ni).map(move |i| [i, j, k])).filter(|&v| map.at(v) == code).count() as f64;
+    (0..nk).map(|k| maps.iter().map(|map| area(map, k)).collect()).collect()
+}
+
+/// First and last slice of the ventricle; none where that cannot be told.
+fn ventricle(areas: &[Vec<f64>]) -> Option<[usize; 2]> {
+    const LEAST_FRAMES: usize = 4;
+    let labelled: Vec<usize> = (0..areas.first()?.len()).filter(|&frame| areas.iter().any(|slice| slice[frame] > 0.0)).collect();
+    if labelled.len() < LEAST_FRAMES {
+        return None;
+    }
+    let curve = |slice: usize| labelled.iter().map(|&frame| areas[slice][frame]).collect::<Vec<f64>>();
+    let drawn: Vec<usize> = (0..areas.len()).filter(|&slice| mean(&curve(slice)) > 0.0).collect();
+    let middle = &drawn[drawn.len() / 3..(2 * drawn.len()).div_ceil(3)];
+    let core: Vec<f64> = (0..labelled.len()).map(|n| middle.iter().map(|&slice| curve(slice)[n]).sum()).collect();
+    let is_ventricle = |&slice: &usize| {
+        let own = curve(slice);
+        let jump = own.iter().zip(own.iter().cycle().skip(1)).map(|(now, next)| (now - next).abs()).fold(0.0, f64::max);
+        let follows = correlation(&own, &core);
+        follows >= FOLLOWS || (follows >= 0.0 && jump <= STILL * mean(&own))
+    };
+    let start = middle.iter().copied().max_by(|&a, &b| mean(&curve(a)).total_cmp(&mean(&curve(b))))?;
+    let last = drawn.iter().copied().filter(|&slice| slice >= start).take_while(is_ventricle).last()?;
+    let first = drawn.iter().rev().copied().filter(|&slice| slice <= start).take_while(is_ventricle).last()?;
+    // Slices beyond what is drawn stay in.
+    Some([if drawn.first() == Some(&first) { 0 } else { first }, if drawn.last() == Some(&last) { areas.len() - 1 } else { last }])
+}
+
+/// Pearson's correlation; 0 where one of both does not change.
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let (mean_a, mean_b) = (mean(a), mean(b));
+    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - mean_a) * (b - mean_b)).sum::<f64>();
+    let size = |sample: &[f64], mean: f64| sample.iter().map(|value| (value - mean).powi(2)).sum::<f64>();
+    let sizes = (size(a, mean_a) * size(b, mean_b)).sqrt();
+    if sizes > 0.0 { product(a, b) / sizes } else { 0.0 }
 }
 
 /// The frame on which the blood (voxels of `code`; any but 0 where none) differs most from what is just around it in the slice, in standard
@@ -138,6 +221,29 @@ mod tests {
         assert_eq!(codes_of(&heart(6.0, 1, 2, 0)), Some(DrawnCodes::Heart(HeartCodes::left(1, 2))));
         assert_eq!(codes_of(&heart(6.0, 5, 0, 0)), Some(DrawnCodes::Blood(5)));
         assert_eq!(codes_of(&heart(6.0, 0, 0, 0)), None);
+    }
+
+    /// A ventricle of 60 to 30 mL over eight frames in six slices, and above it two slices whose labels have gone astray: they are larger in systole.
+    #[test]
+    fn labels_above_the_ventricle_do_not_make_end_diastole() {
+        let grid = Grid::axis_aligned([40, 30, 8], Vector3::zeros(), Vector3::new(2.0, 2.0, 8.0)).unwrap();
+        let contraction = [0.9, 1.0, 0.8, 0.6, 0.5, 0.6, 0.75, 0.85];
+        let map = |stray: bool, share: f64| {
+            let code = |flat| {
+                let [i, j, k] = grid.voxel_of(flat);
+                let astray = stray && k >= 6;
+                let radius = if astray { 15.0 * (1.4 - share) } else { (k as f64 + 4.0) * share.sqrt() };
+                u8::from((i as f64 - 20.0).hypot(j as f64 - 15.0) < radius)
+            };
+            LabelMap::new(grid.clone(), (0..grid.voxel_count()).map(code).collect()).unwrap()
+        };
+        let beat = |stray: bool| LabelledBeat::new(&contraction.map(|share| map(stray, share)), 1);
+        assert_eq!((beat(false).slices, beat(false).end_diastole(), beat(false).end_systole()), (None, 1, 4));
+        assert_eq!((beat(true).slices, beat(true).end_diastole(), beat(true).end_systole()), (Some([0, 5]), 1, 4));
+        // Two frames of a beat say nothing of how it goes on.
+        let empty = || LabelMap::new(grid.clone(), vec![0; grid.voxel_count()]).unwrap();
+        let two = LabelledBeat::new(&[empty(), map(true, 1.0), empty(), map(true, 0.5)], 1);
+        assert_eq!((two.slices, two.end_diastole(), two.end_systole()), (None, 1, 3));
     }
 
     #[test]

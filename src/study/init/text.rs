@@ -101,7 +101,18 @@ impl Pen {
         self.line("fibre_angle_endocardium_deg = 60.0\nfibre_angle_epicardium_deg = -60.0");
         self.line("# From the long axis of the left ventricle to the septum; AHA segments start from it. Absent: to the patient's right and front.");
         self.line("# septal_direction = [0.8, 0.6, 0.0]");
-        self.line("# Slices whose labels count, where the outermost ones should not.\n# label_slices = [0, 9]");
+        match findings.labels.first().and_then(|labels| labels.beat.as_ref()?.slices) {
+            Some([first, last]) => {
+                let why =
+                    "on the others the labelled cavity jumps, or grows while the ventricle contracts, as labels of atrium and aorta do";
+                let _ = writeln!(
+                    self.text,
+                    "# Slices whose labels count, counted from 0: {why}; look whether that is so.\nlabel_slices = [{first}, {last}]"
+                );
+                self.note(format!("slices    {first} to {last}: {why}"));
+            }
+            None => self.line("# Slices whose labels count, where the outermost ones should not.\n# label_slices = [0, 9]"),
+        }
     }
 
     fn labels(&mut self, labels: &LabelFinding) {
@@ -132,12 +143,13 @@ impl Pen {
 
     fn frame(&mut self, findings: &Findings) {
         let frame = findings.frame.frame();
+        let largest = findings.labels.first().and_then(end_diastole).unwrap_or_default();
         let how = match findings.frame {
             FrameFinding::Unknown if findings.cine.is_none() => return,
             FrameFinding::Unknown => "it could not be found on the images, write it here.",
             FrameFinding::Told(_) => "as it was told.",
             FrameFinding::Fits(_) => "outlines fit it best; frames beside it may fit as well: write the right one here if you know it.",
-            FrameFinding::Largest(_) => "of all, the one whose cavity is the largest; is it end-diastole?",
+            FrameFinding::Largest(_) => &largest,
         };
         let _ = writeln!(self.text, "# The frame of the cine that the heart was drawn on: {how}\nframe = {frame}");
         self.note(format!("frame     {frame}: {how}"));
@@ -208,6 +220,9 @@ impl Pen {
         let _ = writeln!(self.text, "# The volume curve that parameters are fitted to.\nvolumes = {path}");
         if let (None, Some(labels)) = (&findings.volumes, every) {
             let _ = writeln!(self.text, "volumes_code_cavity_lv = {}", labels.codes.cavity_lv());
+            if let Some([first, last]) = labels.beat.as_ref().and_then(|beat| beat.slices) {
+                let _ = writeln!(self.text, "volumes_slices = [{first}, {last}]");
+            }
         }
         self.note(format!("volumes   from {}", file.display()));
     }
@@ -246,6 +261,16 @@ impl Pen {
         self.line("\n[mechanics]\n# 0.01 for a first look.\nstep_s = 0.005\n# contraction_peak_lv_kpa = 120.0\n# kinematics = \"corotational\"    # large rotations, at ten times the cost");
         self.line("\n[simulation]\n# A number of beats, or \"periodic\": until they repeat.\nbeats = 1");
     }
+}
+
+/// Why labels of every frame start from end-diastole, in words.
+fn end_diastole(labels: &LabelFinding) -> Option<String> {
+    let beat = labels.beat.as_ref()?;
+    let [most, least] = [beat.end_diastole(), beat.end_systole()];
+    let (most_ml, least_ml) = (beat.volumes_ml.get(most)?, beat.volumes_ml.get(least)?);
+    Some(format!(
+        "end-diastole, where the labelled cavity is the largest ({most_ml:.1} mL; the least is {least_ml:.1} mL on frame {least})."
+    ))
 }
 
 /// A path or a word in quotes as TOML writes it.

@@ -14,6 +14,8 @@ pub struct OutputPlan {
     pub meshes: bool,
     /// `figures`: whether figures are drawn.
     pub figures: bool,
+    /// `report`: whether `report.html` is written.
+    pub report: bool,
     /// `montage_slices`: slices of the montage.
     pub montage_slices: usize,
     /// `montage_times`: times of the montage.
@@ -26,6 +28,7 @@ pub(super) fn read(config: &Config, table: TableReader) -> OutputPlan {
         directory: config.overrides.output.clone().unwrap_or(written),
         meshes: table.flag("meshes", true),
         figures: table.flag("figures", true),
+        report: table.flag("report", true),
         montage_slices: table.count("montage_slices", 1..=12, 3),
         montage_times: table.count("montage_times", 1..=12, 6),
     };

@@ -193,7 +193,7 @@ fn attempt(
     let output = OutputPlan { directory: plan.output.directory.join(mode.key), figures: false, ..plan.output.clone() };
     let plan = Plan { tracking, output, ..plan.clone() };
     create_folder(&plan.output.directory)?;
-    let tracked = match track_patient(&plan, patient, images, patient.parameters.clone(), context) {
+    let tracked = match track_patient(&plan, patient, images, patient.parameters.clone(), context).and_then(Tracked::whole) {
         Ok(tracked) => tracked,
         Err(RunError::Stopped) => return Err(RunError::Stopped),
         Err(error) => {

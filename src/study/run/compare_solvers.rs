@@ -63,7 +63,7 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let patient = Patient::new(plan, context)?;
     let (Some(images), Some(wanted)) = (&patient.images, &plan.personalisation) else { return Err(RunError::NothingToFit) };
     let clock = patient.clock(plan.simulation.beats.count());
-    let tracked = track_patient(plan, &patient, images, patient.parameters.clone(), context)?;
+    let tracked = track_patient(plan, &patient, images, patient.parameters.clone(), context)?.whole()?;
     let measured = measured_volumes(plan, wanted, &patient, &clock, &tracked)?;
     let residual = residual(&wanted.data, &patient, &clock, &measured, &tracked)?;
     let base = heart_model(&plan.model, &patient.anatomy, patient.parameters.clone())?;

@@ -53,9 +53,9 @@ pub(super) fn measured_volumes(
         let Some((_, cavity)) = anatomy.cavities.iter().find(|(own, _)| *own == ventricle) else { return Ok(None) };
         let mesh_ml = ml_from_mm3(cavity.volume_mm3(anatomy.mesh.vertices_mm()));
         let factor = mesh_ml / curve.volume_at_ml(clock.start_s);
-        let words = format!(
-            "measured volumes of the {ventricle:?} ventricle were multiplied by {factor:.3}, to the mesh's {mesh_ml:.1} mL at its frame"
-        );
+        let side = if ventricle == Ventricle::Left { "left" } else { "right" };
+        let words =
+            format!("measured volumes of the {side} ventricle were multiplied by {factor:.3}, to the mesh's {mesh_ml:.1} mL at its frame");
         let odd = if (factor - 1.0).abs() > FACTOR_REPORTED { ": do they count the same slices as the labels of the mesh?" } else { "" };
         warnings.push(format!("{words}{odd}"));
         let curve = curve.scaled(factor)?;

@@ -45,11 +45,13 @@ pub use error::RunError;
 pub use mesh_only::{MeshReport, PartVolume, SurfaceAgreement, mesh_heart};
 pub(super) use side_by_side::side_by_side;
 
+use page::{Account, leave_page};
 use serde::Serialize;
 
 use super::plan::Kind;
 use super::reader::Choice;
 use super::{Outcome, Plan, Provenance, RunContext, Status};
+use crate::report::html::Section;
 use crate::report::{create_folder, write_json};
 
 /// Runs a plan and leaves its files in the plan's folder.
@@ -60,7 +62,7 @@ pub fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
     create_folder(&plan.output.directory)?;
     let outcome = run_kind(plan, context);
     if matches!(outcome, Err(RunError::Stopped)) {
-        leave_stopped(plan)?;
+        leave_stopped(plan, format!("{}; the same command begins again", RunError::Stopped), Vec::new())?;
     }
     outcome
 }
@@ -88,10 +90,13 @@ struct StoppedSummary<'a> {
     provenance: &'a Provenance,
 }
 
-fn leave_stopped(plan: &Plan) -> Result<(), RunError> {
-    let warnings = [RunError::Stopped.to_string()];
-    let summary = StoppedSummary { kind: plan.kind, status: Status::Stopped, warnings, provenance: &plan.provenance };
-    Ok(write_json(&plan.output.directory.join("summary.json"), &summary)?)
+/// Leaves `summary.json` and the report of a run that was stopped: why, and what it has by then.
+fn leave_stopped(plan: &Plan, reason: String, so_far: Vec<Section>) -> Result<(), RunError> {
+    let status = Status::Stopped;
+    let summary = StoppedSummary { kind: plan.kind, status, warnings: [reason], provenance: &plan.provenance };
+    write_json(&plan.output.directory.join("summary.json"), &summary)?;
+    let account = Account { status, headlines: &[], warnings: &summary.warnings, key_figures: Vec::new(), record: &summary };
+    leave_page(plan, account, so_far, Vec::new())
 }
 
 /// Gathers what the parts of a study left, and reads the whole.

@@ -58,12 +58,33 @@ pub(super) fn montages(scene: &ImageScene) -> Result<(), RunError> {
 /// The same slices at the frames `places`: short axis, then long axis, the middle slice of every further view.
 pub(super) fn every_frame(scene: &ImageScene, places: &[usize]) -> Result<Montage, RunError> {
     let named = |axis: &'static str| move |row: Row<'_>| format!("{axis}, {}", row.title);
-    let short = short_axis_rows(scene).into_iter().map(|row| (row.view, row.slice, named("Short axis")(row)));
+    let short = short_axis_rows(scene).into_iter().map(|row| {
+        let title = format!("Short axis, {} (slice at {})", level(scene.patient, row.view, row.slice), row.title);
+        (row.view, row.slice, title)
+    });
     let planes = if scene.images.long_axis.is_empty() { long_axis_planes(scene)? } else { Vec::new() };
     let views = scene.images.long_axis.iter().flat_map(|view| long_axis_rows(scene, view, 1));
-    let long = views.chain(plane_rows(&planes)).map(|row| (row.view, row.slice, named("Long axis")(row)));
+    let cut = "Long axis cut out of the short-axis stack";
+    let long = views.map(|row| (row.view, row.slice, named("Long axis, slice at")(row)));
+    let long = long.chain(plane_rows(&planes).into_iter().map(|row| (row.view, row.slice, named(cut)(row))));
     let rows: Vec<Row> = short.chain(long).map(|(view, slice, title)| Row { view, slice, title }).collect();
     Ok(montage(scene, &rows, places, "Through the beat"))
+}
+
+/// Which third of the left cavity a slice of the short axis cuts.
+fn level(patient: &Patient, view: &CineSequence, slice: usize) -> &'static str {
+    let axes = &patient.anatomy.axes;
+    let vertices_mm = patient.anatomy.mesh.vertices_mm();
+    let cavity = &patient.anatomy.cavities[0].1;
+    let heights = cavity.endocardium().iter().flatten().map(|&vertex| vertices_mm[vertex].dot(&axes.long_axis));
+    let (low, high) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), height| (low.min(height), high.max(height)));
+    let middle = view.grid().to_voxel(&axes.base_centre_mm);
+    let height = view.grid().to_world_mm(&Vector3::new(middle.x, middle.y, slice as f64)).dot(&axes.long_axis);
+    match (height - low) / (high - low).max(f64::MIN_POSITIVE) {
+        ..0.34 => "towards the apex",
+        0.67.. => "towards the base",
+        _ => "mid-ventricle",
+    }
 }
 
 fn long_axis_rows<'a>(scene: &ImageScene, view: &'a CineSequence, count: usize) -> Vec<Row<'a>> {

@@ -17,14 +17,14 @@ use super::leave::{BeatSummary, FrameRow, Summary, frame_rows, write_base_motion
 use super::measured::{MeasuredVolumes, measured_volumes};
 use super::montages::{ImageScene, NamedMotion, montages};
 use super::page::{
-    Account, Colouring, Frames, beat_section, key_figures, leave_page, misfit_figures, motion_section, personal_sections, tracking_section,
-    wall_section,
+    Account, Colouring, Frames, beat_section, key_figures, leave_page, misfit_figures, motion_section, personal_sections,
+    prediction_section, told, tracking_section, wall_section,
 };
 use super::parameter_rows::{interval, parameter_rows};
 use super::patient::{Patient, PatientImages};
 use super::personal_tables::{verdict, write_tables};
 use super::pictures;
-use super::prediction::predict;
+use super::prediction::{Predictions, missing_predictions, predict};
 use super::recovery::{Recovery, difference_rms, recovery};
 use super::search::{Found, ProfileInterval, Task, find, journal_of};
 use super::start::{StageRow, start_space};
@@ -49,6 +49,7 @@ pub(super) struct Personalised {
     measured: MeasuredVolumes,
     /// The images tracked once more with the heart that was found, at the gains of the first time.
     retracked: Option<Tracked>,
+    predictions: Option<Predictions>,
 }
 
 /// A row of `rounds.csv`: images tracked, parameters found.
@@ -71,14 +72,11 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let patient = Patient::new(plan, context)?;
     let (Some(images), Some(wanted)) = (&patient.images, &plan.personalisation) else { return Err(RunError::NothingToFit) };
     let clock = patient.clock(plan.simulation.beats.count());
-    let tracked = track_patient(plan, &patient, images, patient.parameters.clone(), context)?;
+    let tracked = track_patient(plan, &patient, images, patient.parameters.clone(), context)?.whole()?;
     let scene = Scene { plan, wanted, patient: &patient, images, clock: &clock };
     let personalised = personalise(&scene, &tracked, context)?;
     context.progress().stage("writing results", None);
-    let mut outcome = leave(&scene, &tracked, &personalised, started)?;
-    if !context.is_stopped() {
-        outcome.headlines.extend(predict(plan, &patient, personalised.model.parameters(), context)?);
-    }
+    let outcome = leave(&scene, &tracked, &personalised, started)?;
     context.progress().finish();
     Ok(outcome)
 }
@@ -131,7 +129,8 @@ fn personalise(scene: &Scene, tracked: &Tracked, context: &RunContext) -> Result
     let initial = beat(&found_at(&space.initial())?, clock, &[], context)?;
     let is_retracked = wanted.retrack && !context.is_stopped();
     let retracked = is_retracked.then(|| track_again(plan, patient, images, model.parameters(), tracked, 1.0, context)).transpose()?;
-    Ok(Personalised { space, found, stages, rounds, model, fitted, initial, measured, retracked })
+    let predictions = if context.is_stopped() { None } else { predict(plan, patient, model.parameters(), context)? };
+    Ok(Personalised { space, found, stages, rounds, model, fitted, initial, measured, retracked, predictions })
 }
 
 /// The rows of `stages.csv` for all parameters together.
@@ -318,7 +317,13 @@ fn leave(scene: &Scene, tracked: &Tracked, found: &Personalised, started: Instan
     }
     let measured = Measured::of(&found.measured.left_ml);
     let calibration = &found.found.calibration;
-    let status = if found.found.violated.is_empty() { status_of(&calibration.outcome) } else { Status::Failed };
+    let mut status = if found.found.violated.is_empty() { status_of(&calibration.outcome) } else { Status::Failed };
+    let mut warnings: Vec<String> =
+        patient.warnings.iter().chain(&tracked.motion.warnings).chain(&found.measured.warnings).cloned().collect();
+    if let Some(text) = missing_predictions(plan, found.predictions.as_ref()) {
+        status = Status::Stopped;
+        warnings.push(text);
+    }
     let details = Details {
         measured_ejection_fraction_lv: measured.ejection_fraction(),
         measured_end_diastolic_volume_lv_ml: measured.largest_ml,
@@ -342,22 +347,27 @@ fn leave(scene: &Scene, tracked: &Tracked, found: &Personalised, started: Instan
         validation: validation_summary(patient, images, tracked),
         recovery,
     };
-    let headlines = headlines(&details, &parameters);
+    let mut headlines = headlines(&details, &parameters);
+    if let Some(predictions) = &found.predictions {
+        predictions.leave(plan)?;
+        headlines.extend(predictions.headlines());
+    }
     let summary = Summary {
         kind: plan.kind,
         status,
         beat: BeatSummary::new(&found.model, &found.fitted, clock),
         details,
         mesh: MeshQuality::of(&patient.anatomy.mesh),
-        warnings: &patient.warnings.iter().chain(&tracked.motion.warnings).chain(&found.measured.warnings).cloned().collect::<Vec<_>>(),
+        warnings: &warnings,
         wall_time_s: started.elapsed().as_secs_f64(),
         provenance: &plan.provenance,
     };
     write_json(&folder.join("summary.json"), &summary)?;
     let details = &summary.details;
     let mut key_figures = key_figures(&summary.beat, Some((measured.largest_ml, measured.smallest_ml)));
-    key_figures.extend(misfit_figures([details.volume_rms_initial_ml, details.volume_rms_ml], &details.tracking));
-    let account = Account { status, headlines: &headlines, warnings: summary.warnings, key_figures, record: &summary };
+    key_figures.extend(misfit_figures([details.volume_rms_initial_ml, details.volume_rms_ml], &details.tracking, clock, &found.fitted));
+    let in_words = told(&details.verdicts(), &parameters, found.predictions.as_ref());
+    let account = Account { status, headlines: &in_words, warnings: summary.warnings, key_figures, record: &summary };
     leave_report(scene, tracked, found, &parameters, account)?;
     Ok(Outcome { status, directory: folder.clone(), headlines })
 }
@@ -376,14 +386,15 @@ fn leave_report(
     let shown = ImageScene { plan, patient, images, clock, motions: &motions };
     let colouring = Colouring { anatomy, frames: &found.fitted.frames, model: Some((&found.model, &found.fitted)) };
     let details = &account.record.details;
-    let [parameters, told, convergence] = personal_sections(found, parameters, details.recovery.as_ref());
+    let [parameters, identifiability, convergence] = personal_sections(found, parameters, details.recovery.as_ref());
     let sections = vec![
         parameters,
         beat_section(clock, &found.fitted, [&further_volumes(scene, tracked, found), &right_volumes(scene, found)]),
         motion_section(clock, &frames, Some(&shown), &colouring)?,
         wall_section(&found.model, clock, &found.fitted),
+        prediction_section(found.predictions.as_ref()),
         tracking_section(anatomy, clock, tracked, &details.tracking, &details.validation),
-        told,
+        identifiability,
         convergence,
     ];
     leave_page(plan, account, sections, frames.times_s)
@@ -441,17 +452,25 @@ fn headlines(details: &Details, parameters: &[ParameterRow]) -> Vec<String> {
         let place = if row.region.starts_with("segment") { format!(" in {}", row.region) } else { String::new() };
         format!("{}{place} = {:.4} {}, from {:.4}{bound}", row.parameter, row.value, row.unit, row.initial)
     }));
-    lines.extend(details.verdict.iter().cloned());
-    lines.extend(ValidationSummary::headlines(&details.validation));
-    lines.extend(details.recovery.iter().map(|recovery| {
-        let verdict = match recovery.within_tolerance {
-            _ if !recovery.has_tolerances() => "",
-            true => "truth recovered within the stated tolerances; ",
-            false => "truth recovered NOT within the stated tolerances; ",
-        };
-        format!("{verdict}volume of the model {:.2} mL RMS from the truth", recovery.volume_model_rms_ml)
-    }));
+    lines.extend(details.verdicts());
     lines
+}
+
+impl Details {
+    /// How far the result can be believed, a sentence a line.
+    fn verdicts(&self) -> Vec<String> {
+        let mut lines = self.verdict.clone();
+        lines.extend(ValidationSummary::headlines(&self.validation));
+        lines.extend(self.recovery.iter().map(|recovery| {
+            let verdict = match recovery.within_tolerance {
+                _ if !recovery.has_tolerances() => "",
+                true => "truth recovered within the stated tolerances; ",
+                false => "truth recovered NOT within the stated tolerances; ",
+            };
+            format!("{verdict}volume of the model {:.2} mL RMS from the truth", recovery.volume_model_rms_ml)
+        }));
+        lines
+    }
 }
 
 /// The measured volumes of the right ventricle, where there are any.

@@ -9,8 +9,10 @@ use super::error::RunError;
 use super::forward::{beat, deformation, heart_model, observables, step_count};
 use super::patient::Patient;
 use super::pictures;
+use super::synthetic::Truth;
+use super::wall::{SegmentRow, segment_rows};
 use crate::anatomy::{Anatomy, Ventricle};
-use crate::heart::{ActivationTimes, HeartModel, Parameter, Parameters, Trajectory};
+use crate::heart::{ActivationTimes, HeartModel, Parameter, Parameters, Trajectory, VentricleCurve};
 use crate::report::figures::{Curve, Look, TimeCurves, time_curves};
 use crate::report::write_csv;
 use crate::study::plan::{ModelPlan, OWN_ONSET, PredictionPlan};
@@ -26,51 +28,130 @@ const LOOKS: [Look; 5] = [Look::Simulated, Look::Artery, Look::Anterior, Look::O
 /// A row of `predictions.csv`: an onset.
 #[derive(Debug, Clone, Serialize)]
 #[allow(missing_docs, reason = "the names are the columns of the file, units last")]
-struct PredictionRow {
+pub(super) struct PredictionRow {
     /// `own`, or the name of a `[[prediction]]`.
-    onset: String,
+    pub(super) onset: String,
     /// `model`, or `truth` of a phantom.
     heart: &'static str,
-    total_activation_time_ms: f64,
-    activation_time_lv_ms: f64,
-    pressure_rate_max_lv_mmhg_per_s: Option<f64>,
+    pub(super) total_activation_time_ms: f64,
+    pub(super) activation_time_lv_ms: f64,
+    pub(super) pressure_rate_max_lv_mmhg_per_s: Option<f64>,
     /// Of that rate, against the same heart's own onset.
-    pressure_rate_change_percent: Option<f64>,
-    ejection_fraction_lv: Option<f64>,
-    stroke_volume_lv_ml: Option<f64>,
-    pressure_peak_lv_mmhg: Option<f64>,
+    pub(super) pressure_rate_change_percent: Option<f64>,
+    pub(super) ejection_fraction_lv: Option<f64>,
+    pub(super) stroke_volume_lv_ml: Option<f64>,
+    pub(super) pressure_peak_lv_mmhg: Option<f64>,
     isovolumetric_contraction_lv_ms: Option<f64>,
-    mechanical_dispersion_ms: Option<f64>,
+    pub(super) mechanical_dispersion_ms: Option<f64>,
     ejection_fraction_rv: Option<f64>,
     pressure_rate_max_rv_mmhg_per_s: Option<f64>,
 }
 
 /// A heart that beat under an onset.
-struct Beaten {
-    name: String,
-    model: HeartModel,
+pub(super) struct Beaten {
+    pub(super) name: String,
+    pub(super) model: HeartModel,
     trajectory: Trajectory,
     clock: Clock,
 }
 
-/// Runs the plan's predictions with `parameters` on the patient's heart, and on the phantom's true one where there is one, and leaves
-/// `predictions.csv`, `prediction_pressure_lv.png`, `prediction_volume_lv.png` and `activation_<name>.png`. Gives a line for whoever ran
-/// it, an onset each; nothing where the plan predicts nothing.
-pub(super) fn predict(plan: &Plan, patient: &Patient, parameters: &Parameters, context: &RunContext) -> Result<Vec<String>, RunError> {
+/// A heart under its own onset, then under those of the plan; of a phantom, its true heart under the same ones too.
+pub(super) struct Predictions {
+    pub(super) beaten: Vec<Beaten>,
+    /// A row of `predictions.csv` for every one of them.
+    pub(super) rows: Vec<PredictionRow>,
+    /// Rows of the true heart; none but of a phantom.
+    pub(super) truth: Vec<PredictionRow>,
+}
+
+/// Runs the plan's predictions with `parameters` on the patient's heart, and on the phantom's true one where there is one. None where
+/// the plan predicts nothing, or where that was stopped.
+pub(super) fn predict(
+    plan: &Plan,
+    patient: &Patient,
+    parameters: &Parameters,
+    context: &RunContext,
+) -> Result<Option<Predictions>, RunError> {
     if plan.predictions.is_empty() {
-        return Ok(Vec::new());
+        return Ok(None);
     }
-    let start_s = patient.clock(1).start_s;
-    let beaten = beats(plan, &patient.anatomy, parameters, start_s, context)?;
-    let mut rows = rows("model", &beaten);
-    if let Some(truth) = &patient.truth {
-        rows.extend(self::rows("truth", &beats(plan, &truth.anatomy, &truth.parameters, patient.reference_s, context)?));
+    let made = || -> Result<Predictions, RunError> {
+        let beaten = beats(plan, &patient.anatomy, parameters, patient.clock(1).start_s, context)?;
+        let of_truth = |truth: &Truth| beats(plan, &truth.anatomy, &truth.parameters, patient.reference_s, context);
+        let truth = patient.truth.as_ref().map(of_truth).transpose()?.unwrap_or_default();
+        Ok(Predictions { rows: rows("model", &beaten), beaten, truth: rows("truth", &truth) })
+    };
+    match made() {
+        Err(RunError::Stopped) => Ok(None),
+        other => other.map(Some),
     }
-    write_csv(&plan.output.directory.join("predictions.csv"), &rows)?;
-    if plan.output.figures {
-        draw(plan, &beaten)?;
+}
+
+/// What is to be said where predictions were asked for and are not there.
+pub(super) fn missing_predictions(plan: &Plan, predictions: Option<&Predictions>) -> Option<String> {
+    let is_missing = !plan.predictions.is_empty() && predictions.is_none();
+    is_missing.then(|| "stopped before the predictions were made: there are none here".into())
+}
+
+impl Predictions {
+    /// Leaves `predictions.csv`, `prediction_pressure_lv.png`, `prediction_volume_lv.png` and `activation_<name>.png`.
+    pub(super) fn leave(&self, plan: &Plan) -> Result<(), RunError> {
+        let folder = &plan.output.directory;
+        write_csv(&folder.join("predictions.csv"), &self.all_rows().collect::<Vec<_>>())?;
+        if plan.output.figures {
+            time_curves(&folder.join("prediction_pressure_lv.png"), &self.pressures())?;
+            time_curves(&folder.join("prediction_volume_lv.png"), &self.volumes())?;
+            for one in &self.beaten {
+                let file = folder.join(format!("activation_{}.png", one.name));
+                pictures::activation(&file, &one.model, &format!("Activation, {}", one.name))?;
+            }
+        }
+        Ok(())
     }
-    Ok(rows.iter().filter_map(headline).collect())
+
+    fn all_rows(&self) -> impl Iterator<Item = &PredictionRow> {
+        self.rows.iter().chain(&self.truth)
+    }
+
+    /// A line for whoever ran it, an onset and a heart each.
+    pub(super) fn headlines(&self) -> Vec<String> {
+        self.all_rows().filter_map(headline).collect()
+    }
+
+    /// Pressures of the left ventricle.
+    pub(super) fn pressures(&self) -> TimeCurves {
+        let curves = self.curves(|curve| mmhg_from_kpa(curve.pressure_kpa));
+        TimeCurves { title: "LV pressure under each onset".into(), quantity: "LV pressure (mmHg)".into(), curves }
+    }
+
+    /// Volumes of the left ventricle.
+    pub(super) fn volumes(&self) -> TimeCurves {
+        let curves = self.curves(|curve| curve.volume_ml);
+        TimeCurves { title: "LV volume under each onset".into(), quantity: "LV volume (mL)".into(), curves }
+    }
+
+    fn curves(&self, value: fn(&VentricleCurve) -> f64) -> Vec<Curve> {
+        let curve = |(one, look): (&Beaten, Look)| {
+            let points = one.last_beat().map(|(time_s, curve)| (time_s, value(&curve))).collect();
+            Curve { name: one.name.replace('_', " "), look, points }
+        };
+        self.beaten.iter().zip(LOOKS).map(curve).collect()
+    }
+}
+
+impl Beaten {
+    /// The left ventricle in the last beat, by s after the trigger.
+    fn last_beat(&self) -> impl Iterator<Item = (f64, VentricleCurve)> {
+        let (from_s, trigger_s) = (self.clock.last_beat_s() - 1e-9, self.clock.last_trigger_s());
+        let rows = self.trajectory.curves.iter().filter(move |row| row.time_s >= from_s);
+        rows.filter_map(move |row| Some((row.time_s - trigger_s, row.ventricle(Ventricle::Left)?)))
+    }
+
+    /// What its wall does, by segment; none without frames.
+    pub(super) fn segments(&self) -> Vec<SegmentRow> {
+        let deformation = deformation(&self.model, &self.trajectory, &self.clock);
+        deformation.map(|beat| segment_rows(&self.model, &beat)).unwrap_or_default()
+    }
 }
 
 /// The heart under its own onset, then under those of the plan.
@@ -139,27 +220,4 @@ fn headline(row: &PredictionRow) -> Option<String> {
         100.0 * row.ejection_fraction_lv?,
         row.mechanical_dispersion_ms?
     ))
-}
-
-fn draw(plan: &Plan, beaten: &[Beaten]) -> Result<(), RunError> {
-    let folder = &plan.output.directory;
-    let curves = |value: fn(&crate::heart::VentricleCurve) -> f64| {
-        let curve = |(one, look): (&Beaten, Look)| {
-            let trigger_s = one.clock.last_trigger_s();
-            let rows = one.trajectory.curves.iter().filter(|row| row.time_s >= one.clock.last_beat_s() - 1e-9);
-            let points = rows.filter_map(|row| Some((row.time_s - trigger_s, value(&row.ventricle(Ventricle::Left)?)))).collect();
-            Curve { name: one.name.clone(), look, points }
-        };
-        beaten.iter().zip(LOOKS).map(curve).collect::<Vec<_>>()
-    };
-    let title = "LV pressure under each onset".to_owned();
-    let pressures = TimeCurves { title, quantity: "LV pressure (mmHg)".into(), curves: curves(|c| mmhg_from_kpa(c.pressure_kpa)) };
-    time_curves(&folder.join("prediction_pressure_lv.png"), &pressures)?;
-    let title = "LV volume under each onset".to_owned();
-    let volumes = TimeCurves { title, quantity: "LV volume (mL)".into(), curves: curves(|c| c.volume_ml) };
-    time_curves(&folder.join("prediction_volume_lv.png"), &volumes)?;
-    for one in beaten {
-        pictures::activation(&folder.join(format!("activation_{}.png", one.name)), &one.model, &format!("Activation, {}", one.name))?;
-    }
-    Ok(())
 }

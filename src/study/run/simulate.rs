@@ -10,10 +10,12 @@ use super::each_beat::{beat_rows, write_each_beat};
 use super::error::RunError;
 use super::forward::{beat, blocked_stimuli, heart_model, observables, step_count};
 use super::leave::{BeatSummary, Summary, frame_rows, write_beat};
-use super::page::{Account, Colouring, Frames, beat_section, key_figures, leave_page, motion_section, table_section, wall_section};
+use super::page::{
+    Account, Colouring, Frames, beat_section, key_figures, leave_page, motion_section, prediction_section, table_section, wall_section,
+};
 use super::patient::Patient;
 use super::pictures;
-use super::prediction::predict;
+use super::prediction::{Predictions, missing_predictions, predict};
 use super::recorded_base::with_recorded_base;
 use crate::heart::{HeartModel, Periodicity, Trajectory, simulate_until_periodic};
 use crate::mesh::MeshQuality;
@@ -47,7 +49,7 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
         context.progress().warning(&text);
         patient.warnings.push(text);
     }
-    let Beaten { trajectory, clock, status, details } = match plan.simulation.beats {
+    let Beaten { trajectory, clock, mut status, details } = match plan.simulation.beats {
         Beats::Count(count) => count_beats(&model, patient.clock(count), count, context)?,
         Beats::Periodic(periodicity) => beat_until_periodic(&model, &patient, periodicity, context)?,
     };
@@ -55,6 +57,11 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
         let change_ml = details.periodic_change_ml.unwrap_or(f64::INFINITY);
         let text = format!("after {} beats the volumes still change by {change_ml:.3} mL a beat", details.beat_count);
         context.progress().warning(&text);
+        patient.warnings.push(text);
+    }
+    let predictions = if status == Status::Stopped { None } else { predict(plan, &patient, &patient.parameters, context)? };
+    if let Some(text) = missing_predictions(plan, predictions.as_ref()) {
+        status = Status::Stopped;
         patient.warnings.push(text);
     }
 
@@ -80,8 +87,9 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     };
     write_json(&plan.output.directory.join("summary.json"), &summary)?;
     let mut headlines = headlines(&trajectory, &clock);
-    if status != Status::Stopped {
-        headlines.extend(predict(plan, &patient, &patient.parameters, context)?);
+    if let Some(predictions) = &predictions {
+        predictions.leave(plan)?;
+        headlines.extend(predictions.headlines());
     }
     let account = Account {
         status,
@@ -90,16 +98,22 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
         key_figures: key_figures(&summary.beat, None),
         record: &summary,
     };
-    leave_report(plan, &model, &clock, &trajectory, account)?;
+    leave_report(plan, &Beating { model: &model, clock: &clock, trajectory: &trajectory }, predictions.as_ref(), account)?;
     context.progress().finish();
     Ok(Outcome { status, directory: plan.output.directory.clone(), headlines })
 }
 
+/// A heart as it beats.
+struct Beating<'a> {
+    model: &'a HeartModel,
+    clock: &'a Clock,
+    trajectory: &'a Trajectory,
+}
+
 fn leave_report(
     plan: &Plan,
-    model: &HeartModel,
-    clock: &Clock,
-    trajectory: &Trajectory,
+    &Beating { model, clock, trajectory }: &Beating,
+    predictions: Option<&Predictions>,
     account: Account<Summary<Details>>,
 ) -> Result<(), RunError> {
     let frames = Frames::of(clock, &trajectory.frames);
@@ -110,6 +124,7 @@ fn leave_report(
         beat_section(clock, trajectory, [&[], &[]]),
         motion_section(clock, &frames, None, &colouring)?,
         wall_section(model, clock, trajectory),
+        prediction_section(predictions),
         table_section("Beat by beat", "Every beat, own and extra ones", &beats),
     ];
     leave_page(plan, account, sections, frames.times_s)

@@ -24,7 +24,14 @@ pub(super) struct Tracked {
     pub(super) gain_choices: Vec<ChosenGains>,
 }
 
-/// Tracks a patient with the heart of `parameters`.
+impl Tracked {
+    /// Itself, if it was not stopped on its way.
+    pub(super) fn whole(self) -> Result<Self, RunError> {
+        if self.motion.trajectory.stopped { Err(RunError::Stopped) } else { Ok(self) }
+    }
+}
+
+/// Tracks a patient with the heart of `parameters`; the motion ends where it was stopped.
 pub(super) fn track_patient(
     plan: &Plan,
     patient: &Patient,
@@ -37,7 +44,7 @@ pub(super) fn track_patient(
     let trial = Trial { images, settings: &settings, context };
     let (model, gain_choices) = choose_gains(model, plan.tracking.gains, plan.tracking.noise_mm, &trial)?;
     context.progress().stage("tracking the images", Some(steps(plan, patient, &settings)));
-    let motion = tracked_beat(&model, images, &settings, context)?;
+    let motion = motion_until_stopped(&model, images, &settings, context)?;
     for warning in &motion.warnings {
         context.progress().warning(warning);
     }
@@ -69,7 +76,18 @@ fn steps(plan: &Plan, patient: &Patient, settings: &TrackerSettings) -> u64 {
     step_count(&patient.clock(1), plan.model.step_s) * settings.rounds() as u64
 }
 
+/// The whole tracked beat.
 pub(super) fn tracked_beat(
+    model: &HeartModel,
+    images: &PatientImages,
+    settings: &TrackerSettings,
+    context: &RunContext,
+) -> Result<TrackedMotion, RunError> {
+    let motion = motion_until_stopped(model, images, settings, context)?;
+    if motion.trajectory.stopped { Err(RunError::Stopped) } else { Ok(motion) }
+}
+
+fn motion_until_stopped(
     model: &HeartModel,
     images: &PatientImages,
     settings: &TrackerSettings,
@@ -81,8 +99,7 @@ pub(super) fn tracked_beat(
         done += 1;
         if context.is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
-    let motion = track(model, &images.cine, settings, &mut observer)?;
-    if motion.trajectory.stopped { Err(RunError::Stopped) } else { Ok(motion) }
+    Ok(track(model, &images.cine, settings, &mut observer)?)
 }
 
 /// Root mean square distance of the held-out points of all surfaces over all frames, mm.

@@ -18,6 +18,7 @@ use crate::mesh::MeshQuality;
 use crate::report::figures::{Curve, Look};
 use crate::report::write_json;
 use crate::study::{Outcome, Plan, RunContext, Status};
+use crate::units::MS_PER_S;
 
 #[derive(Serialize)]
 struct Details {
@@ -31,6 +32,9 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let patient = Patient::new(plan, context)?;
     let Some(images) = &patient.images else { return Err(RunError::NothingToFit) };
     let tracked = track_patient(plan, &patient, images, patient.parameters.clone(), context)?;
+    if tracked.motion.trajectory.stopped && tracked.motion.trajectory.frames.len() < 2 {
+        return Err(RunError::Stopped);
+    }
     context.progress().stage("writing results", None);
     let outcome = leave(plan, &patient, images, &tracked, started)?;
     context.progress().finish();
@@ -60,14 +64,23 @@ pub(super) fn leave(
     }
     let details = Details { tracking: tracking_summary(tracked), validation: validation_summary(patient, images, tracked) };
     let headlines = ValidationSummary::headlines(&details.validation);
-    let status = Status::Converged;
+    let mut warnings: Vec<String> = patient.warnings.iter().chain(&tracked.motion.warnings).cloned().collect();
+    let status = if trajectory.stopped { Status::Stopped } else { Status::Converged };
+    if trajectory.stopped {
+        let reached_s = trajectory.curves.last().map_or(clock.start_s, |row| row.time_s);
+        warnings.push(format!(
+            "stopped after {:.0} of {:.0} ms of the beat: all figures are of that part alone; the same command begins again",
+            MS_PER_S * (reached_s - clock.start_s),
+            MS_PER_S * clock.period_s
+        ));
+    }
     let summary = Summary {
         kind: plan.kind,
         status,
         beat: BeatSummary::new(&model, trajectory, &clock),
         details,
         mesh: MeshQuality::of(&patient.anatomy.mesh),
-        warnings: &patient.warnings.iter().chain(&tracked.motion.warnings).cloned().collect::<Vec<_>>(),
+        warnings: &warnings,
         wall_time_s: started.elapsed().as_secs_f64(),
         provenance: &plan.provenance,
     };
@@ -86,7 +99,8 @@ pub(super) fn leave(
         status,
         headlines: &headlines,
         warnings: summary.warnings,
-        key_figures: key_figures(&summary.beat, None),
+        // An ejection fraction of a part of a beat would be taken for one.
+        key_figures: if trajectory.stopped { Vec::new() } else { key_figures(&summary.beat, None) },
         record: &summary,
     };
     leave_page(plan, account, sections, frames.times_s)?;

@@ -3,13 +3,15 @@
 mod beat;
 mod motion;
 mod personal;
+mod prediction;
 mod tracking;
 mod wall;
 mod words;
 
 pub(super) use beat::{beat_section, key_figures, misfit_figures};
 pub(super) use motion::{Colouring, Frames, motion_section, resting_heart};
-pub(super) use personal::personal_sections;
+pub(super) use personal::{personal_sections, told};
+pub(super) use prediction::prediction_section;
 pub(super) use tracking::tracking_section;
 pub(super) use wall::wall_section;
 
@@ -17,6 +19,7 @@ use serde::Serialize;
 
 use super::error::RunError;
 use crate::report::html::{Block, KeyFigure, Page, Section, Table, write_page};
+use crate::report::remove;
 use crate::study::{Plan, Status};
 
 /// What every report opens with, and the record it closes with.
@@ -30,13 +33,18 @@ pub(super) struct Account<'a, R: Serialize> {
     pub(super) record: &'a R,
 }
 
-/// Writes `report.html` into the folder of a run: the account of it, then its sections. `frames` are those that slices and mesh show.
+/// Writes `report.html` into the folder of a run: the account of it, then its sections; slices and mesh are shown at the frames. Where the
+/// plan wants no report, one that an earlier run left is taken away: it would pass for this one's.
 pub(super) fn leave_page<R: Serialize>(
     plan: &Plan,
     account: Account<R>,
     sections: Vec<Section>,
     frame_times_s: Vec<f64>,
 ) -> Result<(), RunError> {
+    let file = plan.output.directory.join("report.html");
+    if !plan.output.report {
+        return Ok(remove(&file)?);
+    }
     let mut opening = Vec::new();
     if !account.key_figures.is_empty() {
         opening.push(Block::KeyFigures(account.key_figures));
@@ -65,7 +73,7 @@ pub(super) fn leave_page<R: Serialize>(
         frame_times_s,
         provenance: words::provenance(&plan.provenance),
     };
-    Ok(write_page(&plan.output.directory.join("report.html"), &page)?)
+    Ok(write_page(&file, &page)?)
 }
 
 /// A section with a table of rows, as a CSV file has them.

@@ -3,11 +3,12 @@
 use crate::heart::Parameter;
 use crate::personalisation::{ParameterSpace, Uncertainty};
 use crate::report::ParameterRow;
-use crate::report::figures::{Curve, Look};
-use crate::report::html::{Bar, Bars, Block, CorrelationMatrix, Intervals, Plot, Section, Table, readable};
+use crate::report::figures::{Bar, Curve, Look};
+use crate::report::html::{Bars, Block, CorrelationMatrix, Intervals, Plot, Section, Table, readable};
 use crate::study::run::parameter_rows::interval;
 use crate::study::run::personal_tables::{iteration_rows, verdict};
 use crate::study::run::personalise::Personalised;
+use crate::study::run::prediction::Predictions;
 use crate::study::run::recovery::Recovery;
 
 /// Parameters, identifiability, convergence.
@@ -39,11 +40,47 @@ fn parameters(rows: &[ParameterRow], recovery: Option<&Recovery>) -> Section {
     Section { title: "Parameters".into(), blocks }
 }
 
+/// What was found in plain words: parameters of the heart, how far they can be believed, predictions. Gains of the images are not of the heart.
+pub(in crate::study::run) fn told(verdicts: &[String], rows: &[ParameterRow], predictions: Option<&Predictions>) -> Vec<String> {
+    /// More parameters, as of segments, are in the table alone.
+    const TOLD: usize = 8;
+    let of_heart: Vec<&ParameterRow> = rows.iter().filter(|row| row.state != "fixed" && !row.parameter.starts_with("image_gain")).collect();
+    let mut lines: Vec<String> = of_heart.iter().take(TOLD).map(|row| sentence(row)).collect();
+    if of_heart.len() > TOLD {
+        lines.push(format!("… and {} more parameters, below.", of_heart.len() - TOLD));
+    }
+    lines.extend(verdicts.iter().cloned());
+    lines.extend(predictions.map(Predictions::headlines).unwrap_or_default());
+    lines
+}
+
+fn sentence(row: &ParameterRow) -> String {
+    let meaning = meaning(&row.parameter).trim_end_matches('.');
+    let place = if row.region.starts_with("segment") { format!(" in {}", place(&row.region)) } else { String::new() };
+    let interval = row.interval_low.zip(row.interval_high);
+    let interval = interval.map(|(low, high)| format!(", with 95 % between {} and {}", readable(low), readable(high)));
+    let bound = if row.at_bound { ", which is its bound: at least or at most that" } else { "" };
+    let sure = interval.unwrap_or_default();
+    format!("{meaning}{place}: {} {}{sure}{bound}; the search started at {}.", readable(row.value), row.unit, readable(row.initial))
+}
+
+fn meaning(name: &str) -> &'static str {
+    Parameter::ALL.iter().map(|parameter| parameter.spec()).find(|spec| spec.name == name).map_or("", |spec| spec.meaning)
+}
+
+/// A region as it is said.
+fn place(region: &str) -> String {
+    match region {
+        "global" => "whole heart".into(),
+        "lv" => "left ventricle".into(),
+        "rv" => "right ventricle".into(),
+        other => other.replace('_', " ").replace("endocardium lv", "LV endocardium").replace("endocardium rv", "RV endocardium"),
+    }
+}
+
 /// The parameters in the words of a reader.
 fn table_of(rows: &[ParameterRow]) -> Table {
     let columns = ["Parameter", "What it is", "Where", "Start", "Found", "95 % interval", "Bounds", "Prior", "State"];
-    let meaning =
-        |name: &str| Parameter::ALL.iter().map(|parameter| parameter.spec()).find(|spec| spec.name == name).map_or("", |spec| spec.meaning);
     let pair = |ends: Option<(f64, f64)>, between: &str| {
         ends.map_or_else(String::new, |(low, high)| format!("{}{between}{}", readable(low), readable(high)))
     };
@@ -51,7 +88,7 @@ fn table_of(rows: &[ParameterRow]) -> Table {
         vec![
             row.parameter.clone(),
             meaning(&row.parameter).to_owned(),
-            row.region.replace('_', " "),
+            place(&row.region),
             readable(row.initial),
             format!("{} {}", readable(row.value), row.unit),
             pair(row.interval_low.zip(row.interval_high), " to "),
@@ -129,5 +166,8 @@ fn convergence(found: &Personalised) -> Section {
     table.columns.truncate(5);
     table.columns.extend(names);
     let rows = vec![Block::Table(table), Block::Table(Table::of_rows("Rounds of tracking and search", &found.rounds))];
-    Section { title: "Convergence".into(), blocks: vec![Block::Plot(cost), Block::Folded("Iterations in figures".into(), rows)] }
+    Section {
+        title: "Convergence".into(),
+        blocks: vec![Block::Beside(vec![Block::Plot(cost)]), Block::Folded("Iterations in figures".into(), rows)],
+    }
 }

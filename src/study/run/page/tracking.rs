@@ -3,8 +3,8 @@
 use crate::anatomy::Anatomy;
 use crate::mesh::SurfaceTag;
 use crate::numerics::root_mean_square;
-use crate::report::figures::{Curve, Look};
-use crate::report::html::{Bar, Bars, Block, BullsEye, Plot, Scale, Section, Table};
+use crate::report::figures::{Bar, Curve, Look};
+use crate::report::html::{Bars, Block, BullsEye, Plot, Scale, Section, Table};
 use crate::study::run::clock::Clock;
 use crate::study::run::discrepancy::{region_work_mj, segment_work_mj};
 use crate::study::run::personalise::{TrackingSummary, ValidationSummary};
@@ -29,7 +29,7 @@ pub(in crate::study::run) fn tracking_section(
 ) -> Section {
     let motion = &tracked.motion;
     let about = "The tracked heart is the model pulled along by the images. Its distance from their boundaries says how well it follows; the work of \
-                 the image forces says how much the model alone could not explain, and where.";
+                 the image forces says how much the model alone could not explain, and where. Segments in grey have no boundary points.";
     let eyes = vec![
         distance_eye(anatomy, motion, SurfaceTag::EndocardiumLv, "Distance of the endocardium"),
         distance_eye(anatomy, motion, SurfaceTag::Epicardium, "Distance of the epicardium"),

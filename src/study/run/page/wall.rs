@@ -35,7 +35,16 @@ fn blocks(model: &HeartModel, clock: &Clock, beat: &BeatDeformation) -> Vec<Bloc
                  The base lies outside, the apex in the middle, the septum on the left.";
     let curves = strains(beat, clock.last_trigger_s()).panels;
     let plots = curves.iter().map(|panel| Block::Plot(Plot::from(panel))).collect();
-    vec![Block::Text(about.into()), Block::BullsEyes(eyes), Block::Beside(plots)]
+    let mut blocks = vec![Block::Text(about.into())];
+    let along = 100.0 * beat.end_systole.strain.longitudinal;
+    if along > 0.0 {
+        blocks.push(Block::Warnings(vec![format!(
+            "The wall of this model lengthens along the ventricle in systole, by {along:.1} % on average, where every heart shortens: its \
+             longitudinal strains are the model's, and say nothing of the patient."
+        )]));
+    }
+    blocks.extend([Block::BullsEyes(eyes), Block::Beside(plots)]);
+    blocks
 }
 
 /// Values of the segments 1 to 17 in their places.

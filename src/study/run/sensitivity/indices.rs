@@ -6,8 +6,9 @@ use serde::Serialize;
 
 use super::RunError;
 use super::records::Records;
-use crate::report::figures::{RankedInput, ranking};
-use crate::report::html::{Bar, Bars, Block, Scatter, Section, Table};
+use crate::numerics::mean;
+use crate::report::figures::{Bar, ranking};
+use crate::report::html::{Bars, Block, Scatter, Section, Table, readable};
 use crate::report::{write_csv, write_json};
 use crate::sensitivity::{Index, Measure};
 use crate::study::figure::unit_of;
@@ -95,6 +96,25 @@ pub(super) fn leave_indices(plan: &Plan, wanted: &SensitivityPlan, records: &Rec
     Ok(Outcome { status, directory: folder.clone(), headlines })
 }
 
+/// What the runs gave that are done, of a study that was stopped: no indices, which need all of them.
+pub(super) fn so_far(wanted: &SensitivityPlan, records: &Records) -> Section {
+    let point_count = wanted.design.points().len();
+    let row = |(number, output): (usize, &String)| {
+        let values: Vec<f64> = records.response(number, point_count).into_iter().flatten().collect();
+        let (least, most) = (values.iter().copied().reduce(f64::min)?, values.iter().copied().reduce(f64::max)?);
+        let figures = [least, mean(&values), most].map(readable);
+        Some([output.clone(), unit_of(output).to_owned(), values.len().to_string()].into_iter().chain(figures).collect())
+    };
+    let rows: Vec<Vec<String>> = wanted.outputs.iter().enumerate().filter_map(row).collect();
+    let table = Table {
+        caption: "The outputs over the runs that are done; indices need all of them".into(),
+        columns: ["Output", "Unit", "Runs", "Least", "Mean", "Greatest"].map(str::to_owned).to_vec(),
+        rows,
+    };
+    let blocks = if table.rows.is_empty() { Vec::new() } else { vec![Block::Table(table)] };
+    Section { title: "So far".into(), blocks }
+}
+
 /// The word of a measure in `indices.csv`.
 fn word(measure: Measure) -> &'static str {
     match measure {
@@ -158,13 +178,13 @@ fn headline(wanted: &SensitivityPlan, output: &str, indices: &[Index]) -> Option
 }
 
 /// The inputs as a figure ranks them, with the quantity in words.
-fn ranking_of(wanted: &SensitivityPlan, output: &str, indices: &[Index]) -> (Vec<RankedInput>, String, Option<&'static str>) {
+fn ranking_of(wanted: &SensitivityPlan, output: &str, indices: &[Index]) -> (Vec<Bar>, String, Option<&'static str>) {
     let (measure, words, beside) = ranking_measures(wanted.method);
     let other = |index: &Index| {
         let (measure, _) = beside?;
         indices.iter().find(|other| other.measure == measure && other.input == index.input).map(|other| other.value)
     };
-    let input = |index: &&Index| RankedInput {
+    let input = |index: &&Index| Bar {
         name: wanted.inputs[index.input].parameter().name(),
         value: index.value,
         interval: index.interval,
@@ -186,9 +206,7 @@ fn draw(plan: &Plan, wanted: &SensitivityPlan, output: &str, indices: &[Index]) 
 fn section(wanted: &SensitivityPlan, output: &str, indices: &[Index], records: &Records, response: &[Option<f64>]) -> Section {
     /// Inputs that the runs are shown over.
     const SHOWN: usize = 3;
-    let (inputs, quantity, beside) = ranking_of(wanted, output, indices);
-    let bar = |input: RankedInput| Bar { name: input.name, value: input.value, interval: input.interval, beside: input.beside };
-    let bars = inputs.into_iter().map(bar).collect();
+    let (bars, quantity, beside) = ranking_of(wanted, output, indices);
     let bars = Bars { title: format!("What moves {output}"), quantity, beside: beside.map(str::to_owned), bars };
     let titled = |name: &str, unit: &str| if unit == "1" { name.to_owned() } else { format!("{name} ({unit})") };
     let scatter = |index: &&Index| {

@@ -12,10 +12,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use evaluate::Evaluator;
-use indices::leave_indices;
+use indices::{leave_indices, so_far};
 use records::Records;
 
 use super::error::RunError;
+use super::leave_stopped;
 use super::side_by_side::side_by_side;
 use crate::report::{Ledger, LedgerRow};
 use crate::study::identity::identity;
@@ -46,6 +47,7 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let missing = own.iter().filter(|&&run| !known.has(run)).count();
     let outcome = if context.is_stopped() && missing > 0 {
         let line = format!("{} of {} runs are done; run it again to go on", own.len() - missing, own.len());
+        leave_stopped(plan, format!("stopped: {line}"), vec![so_far(wanted, &known)])?;
         Ok(Outcome { status: Status::Stopped, directory: folder.clone(), headlines: vec![line] })
     } else if let Some(shard) = wanted.shard {
         let line = format!("all {} runs of part {shard} are done; merge the parts with `cardiotwin merge`", own.len());

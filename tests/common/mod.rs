@@ -1,0 +1,21 @@
+//! What tests from outside share: folders of their own.
+
+#![allow(dead_code, unreachable_pub, clippy::unwrap_used, reason = "each test uses its part; a test may stop at the first surprise")]
+
+use std::path::{Path, PathBuf};
+
+/// An empty folder for a part of a test.
+pub fn fresh_folder(test: &str, part: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(test).join(part);
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
+}
+
+/// A study file in an empty folder of its own, and the folder of its results, which is not there yet.
+pub fn fresh_study(test: &str, part: &str, text: &str) -> (PathBuf, PathBuf) {
+    let folder = fresh_folder(test, part);
+    let file = folder.join("study.toml");
+    std::fs::write(&file, text).unwrap();
+    (file, folder.join("results"))
+}
