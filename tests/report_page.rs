@@ -115,7 +115,7 @@ fn predictions_stand_beside_their_own_onset_and_the_truth() {
     let folder = fresh_folder("prediction");
     let html = report_of("run", &study, &folder, &COARSE);
     let part = html.split(">Predictions</h2>").nth(1).unwrap().split("</section>").next().unwrap();
-    for words in ["own onset", "biventricular pacing", "(true ", "LV pressure under each onset", "Activation, normal"] {
+    for words in ["own onset", "biventricular pacing", "(true\u{a0}", "LV pressure under each onset", "Activation, normal"] {
         assert!(part.contains(words), "{words}");
     }
     let file = folder.join("predictions.csv");

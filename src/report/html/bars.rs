@@ -36,6 +36,8 @@ impl Bars {
             [Some(0.0), Some(bar.value), bar.beside, bar.interval.map(|i| i.0), bar.interval.map(|i| i.1)].into_iter().flatten()
         });
         let (low, high) = ends.filter(|end| end.is_finite()).fold((0.0f64, 0.0f64), |(low, high), end| (low.min(end), high.max(end)));
+        let room = if low < 0.0 { 0.03 * (high - low) } else { 0.0 };
+        let low = low - room;
         let span = if high > low { high - low } else { 1.0 };
         let at = |value: f64| left + (value - low) / span * (right - left);
         let spoken: Vec<String> = self.bars.iter().map(|bar| format!("{} {}", bar.name, readable(bar.value))).collect();

@@ -45,7 +45,10 @@ fn extent(segment: usize) -> (f64, f64, f64, f64) {
 impl BullsEye {
     /// Draws the plot.
     pub(super) fn html(&self) -> String {
-        let range = self.scale.range(self.values.iter().flatten().copied());
+        // The apical cap is small, and its strains are those of a point: it would wash out all others.
+        let wall = self.values[..16].iter().flatten().copied();
+        let range =
+            if wall.clone().next().is_some() { self.scale.range(wall) } else { self.scale.range(self.values.into_iter().flatten()) };
         let told: Vec<String> =
             (1..).zip(&self.values).filter_map(|(n, value)| Some(format!("segment {n}: {}", readable((*value)?)))).collect();
         let spoken = format!("By segment of the American Heart Association, in {}. {}", self.unit, told.join("; "));

@@ -77,11 +77,17 @@ impl LabelledBeat {
     /// fewer than four have any, all slices are kept.
     pub(super) fn new(maps: &[LabelMap], code: u8) -> Self {
         let areas = areas(maps, code);
-        let slices = ventricle(&areas).filter(|[first, last]| last + 1 - first < areas.len());
         let voxel_ml = maps.first().map_or(0.0, |map| map.grid().voxel_volume_mm3() / 1000.0);
-        let [first, last] = slices.unwrap_or([0, areas.len().saturating_sub(1)]);
-        let volume = |frame: usize| voxel_ml * areas.iter().take(last + 1).skip(first).map(|slice| slice[frame]).sum::<f64>();
-        Self { slices, volumes_ml: (0..maps.len()).map(volume).collect() }
+        let on = |slices: Option<[usize; 2]>| {
+            let [first, last] = slices.unwrap_or([0, areas.len().saturating_sub(1)]);
+            let volume = |frame: usize| voxel_ml * areas.iter().take(last + 1).skip(first).map(|slice| slice[frame]).sum::<f64>();
+            Self { slices, volumes_ml: (0..maps.len()).map(volume).collect() }
+        };
+        let found = on(ventricle(&areas));
+        // A slice that the base enters in systole alone is empty at end-diastole, and need not be left out.
+        let is_left_out = |slice: usize| found.slices.is_some_and(|[first, last]| !(first..=last).contains(&slice));
+        let end_diastole = found.end_diastole();
+        if (0..areas.len()).any(|slice| is_left_out(slice) && areas[slice][end_diastole] > 0.0) { found } else { on(None) }
     }
 
     /// The frame of the largest cavity; the first of several.
@@ -242,7 +248,7 @@ mod tests {
         assert_eq!((beat(true).slices, beat(true).end_diastole(), beat(true).end_systole()), (Some([0, 5]), 1, 4));
         // Two frames of a beat say nothing of how it goes on.
         let empty = || LabelMap::new(grid.clone(), vec![0; grid.voxel_count()]).unwrap();
-        let two = LabelledBeat::new(&[empty(), map(true, 1.0), empty(), map(true, 0.5)], 1);
+        let two = LabelledBeat::new(&[empty(), map(false, 1.0), empty(), map(false, 0.5)], 1);
         assert_eq!((two.slices, two.end_diastole(), two.end_systole()), (None, 1, 3));
     }
 

@@ -59,12 +59,12 @@ pub(super) fn montages(scene: &ImageScene) -> Result<(), RunError> {
 pub(super) fn every_frame(scene: &ImageScene, places: &[usize]) -> Result<Montage, RunError> {
     let named = |axis: &'static str| move |row: Row<'_>| format!("{axis}, {}", row.title);
     let short = short_axis_rows(scene).into_iter().map(|row| {
-        let title = format!("Short axis, {} (slice at {})", level(scene.patient, row.view, row.slice), row.title);
+        let title = format!("Short axis {}, {}", level(scene.patient, row.view, row.slice), row.title);
         (row.view, row.slice, title)
     });
     let planes = if scene.images.long_axis.is_empty() { long_axis_planes(scene)? } else { Vec::new() };
     let views = scene.images.long_axis.iter().flat_map(|view| long_axis_rows(scene, view, 1));
-    let cut = "Long axis cut out of the short-axis stack";
+    let cut = "Long axis (from the short-axis stack)";
     let long = views.map(|row| (row.view, row.slice, named("Long axis, slice at")(row)));
     let long = long.chain(plane_rows(&planes).into_iter().map(|row| (row.view, row.slice, named(cut)(row))));
     let rows: Vec<Row> = short.chain(long).map(|(view, slice, title)| Row { view, slice, title }).collect();
@@ -81,9 +81,9 @@ fn level(patient: &Patient, view: &CineSequence, slice: usize) -> &'static str {
     let middle = view.grid().to_voxel(&axes.base_centre_mm);
     let height = view.grid().to_world_mm(&Vector3::new(middle.x, middle.y, slice as f64)).dot(&axes.long_axis);
     match (height - low) / (high - low).max(f64::MIN_POSITIVE) {
-        ..0.34 => "towards the apex",
-        0.67.. => "towards the base",
-        _ => "mid-ventricle",
+        ..0.34 => "near the apex",
+        0.67.. => "near the base",
+        _ => "at mid-ventricle",
     }
 }
 

@@ -236,13 +236,15 @@ impl ValidationSummary {
         let least = frames.iter().map(|one| one.dice_tracked).fold(f64::INFINITY, f64::min);
         let (dice, still) = (mean(|one| one.dice_tracked), mean(|one| one.dice_no_motion));
         let count = frames.len();
-        vec![format!("expert labels of {count} frames: Dice {dice:.3} on average, {least:.3} at least (no motion {still:.3} on average)")]
+        vec![format!(
+            "labels of {count} frames, which nothing was fitted to: Dice {dice:.3} on average, {least:.3} at least (without motion {still:.3} on average)"
+        )]
     }
 
     fn headline(&self) -> String {
         let distance = |mm: Option<f64>| mm.map_or("none".to_owned(), |mm| format!("{mm:.2} mm"));
         format!(
-            "expert labels of frame {}: Dice {:.3} (no motion {:.3}), mean distance {} (no motion {})",
+            "labels of frame {}, which nothing was fitted to: Dice {:.3} (without motion {:.3}), mean distance {} (without motion {})",
             self.frame,
             self.dice_tracked,
             self.dice_no_motion,

@@ -133,7 +133,8 @@ impl Predictions {
     fn curves(&self, value: fn(&VentricleCurve) -> f64) -> Vec<Curve> {
         let curve = |(one, look): (&Beaten, Look)| {
             let points = one.last_beat().map(|(time_s, curve)| (time_s, value(&curve))).collect();
-            Curve { name: one.name.replace('_', " "), look, points }
+            let name = if one.name == OWN_ONSET { "own onset".into() } else { one.name.replace('_', " ") };
+            Curve { name, look, points }
         };
         self.beaten.iter().zip(LOOKS).map(curve).collect()
     }

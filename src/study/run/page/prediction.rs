@@ -1,7 +1,7 @@
 //! What the heart would do if it were depolarised from elsewhere: a table beside its own beat and, of a phantom, beside the truth; curves.
 
 use crate::report::figures::Bar;
-use crate::report::html::{Bars, Block, BullsEye, Plot, Scale, Section, Table, readable};
+use crate::report::html::{Bars, Block, BullsEye, Plot, Scale, Section, Table};
 use crate::study::plan::OWN_ONSET;
 use crate::study::run::prediction::{PredictionRow, Predictions};
 use crate::units::MS_PER_S;
@@ -71,7 +71,7 @@ fn table(predictions: &Predictions) -> Table {
     let line = |row: &PredictionRow| {
         let truth = predictions.truth.iter().find(|truth| truth.onset == row.onset);
         let cell = |&(_, value, decimals): &(&str, Figure, usize)| match (value(row), truth.and_then(value)) {
-            (Some(found), Some(real)) => format!("{} (true {})", rounded(found, decimals), rounded(real, decimals)),
+            (Some(found), Some(real)) => format!("{} (true\u{a0}{})", rounded(found, decimals), rounded(real, decimals)),
             (Some(found), None) => rounded(found, decimals),
             _ => String::new(),
         };
@@ -92,8 +92,10 @@ fn changes(predictions: &Predictions) -> Bars {
         let truth = predictions.truth.iter().find(|truth| truth.onset == row.onset);
         Some(Bar { name: words(&row.onset), value: change(row)?, beside: truth.and_then(change), ..Bar::default() })
     };
-    let spoken = |bar: &Bar| format!("{} {} %", bar.name, readable(bar.value));
-    let bars: Vec<Bar> = predictions.rows.iter().filter_map(bar).collect();
-    let title = format!("Change of LV dP/dt max against the own onset: {}", bars.iter().map(spoken).collect::<Vec<_>>().join(", "));
-    Bars { title, quantity: "change (%)".into(), beside: (!predictions.truth.is_empty()).then(|| "truth".into()), bars }
+    Bars {
+        title: "Change of LV dP/dt max against the own onset".into(),
+        quantity: "change (%)".into(),
+        beside: (!predictions.truth.is_empty()).then(|| "truth".into()),
+        bars: predictions.rows.iter().filter_map(bar).collect(),
+    }
 }

@@ -32,7 +32,7 @@ fn blocks(model: &HeartModel, clock: &Clock, beat: &BeatDeformation) -> Vec<Bloc
         eye("Thickness at end-diastole", "mm", Scale::Sequential, |row| row.thickness_end_diastole_mm),
     ];
     let about = "Strains are relative changes of length against end-diastole, around, along and across the wall: shortening is negative. \
-                 The base lies outside, the apex in the middle, the septum on the left.";
+                 The base lies outside, the apex in the middle, the septum on the left; the apical cap may lie beyond the colours.";
     let curves = strains(beat, clock.last_trigger_s()).panels;
     let plots = curves.iter().map(|panel| Block::Plot(Plot::from(panel))).collect();
     let mut blocks = vec![Block::Text(about.into())];
