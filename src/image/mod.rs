@@ -33,7 +33,6 @@ pub use nifti::{
     CineReading, NiftiImage, read_cine, read_label_map, read_label_maps, read_nifti, write_cine, write_label_map, write_label_maps,
 };
 pub use preprocess::{PREPARED_MAX, PreprocessSettings, preprocess, resampled_isotropic};
-pub use sampling::CineInstant;
 pub use smoothing::gaussian_smoothed;
 pub use source::{read_cine_source, read_views, summarise};
 pub use summary::{ImageSummary, LabelSummary, cine_warnings};

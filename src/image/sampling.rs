@@ -87,6 +87,13 @@ impl Volume {
         Some(Cell::around(self.grid(), position_mm)?.value(self.values()))
     }
 
+    /// Trilinear value at a continuous voxel index; `None` outside the box of the voxel centres. For many samples along a line, whose
+    /// places in the grid are found once.
+    #[inline]
+    pub fn sample_at_voxel(&self, voxel: &Vector3<f64>) -> Option<f64> {
+        Some(Cell::at(self.grid().shape(), voxel)?.value(self.values()))
+    }
+
     /// Trilinear value and its gradient (per mm, world axes) at a world position (mm); `None` outside the box of the voxel centres.
     #[inline]
     pub fn sample_with_gradient(&self, position_mm: &Vector3<f64>) -> Option<(f64, Vector3<f64>)> {
@@ -95,50 +102,12 @@ impl Volume {
     }
 }
 
-/// A cine sequence at one instant: the two frames around it, mixed linearly.
-#[derive(Debug, Clone, Copy)]
-pub struct CineInstant<'a> {
-    earlier: &'a Volume,
-    later: &'a Volume,
-    later_weight: f64,
-}
-
 impl CineSequence {
-    /// The images at `time_s` (s after the trigger; periodic).
-    pub fn at_time(&self, time_s: f64) -> CineInstant<'_> {
+    /// The image at `time_s` (s after the trigger; periodic): the two frames around it, mixed linearly voxel by voxel, so that every value
+    /// between its voxels is read once and not from both frames. In single precision, as the frames themselves.
+    pub fn at_time(&self, time_s: f64) -> Volume {
         let (earlier, later, later_weight) = self.frames_around(time_s);
-        CineInstant { earlier: &self.frames()[earlier], later: &self.frames()[later], later_weight }
-    }
-}
-
-impl CineInstant<'_> {
-    /// The grid of both frames.
-    pub fn grid(&self) -> &Grid {
-        self.earlier.grid()
-    }
-
-    /// Value at a world position (mm); `None` outside.
-    #[inline]
-    pub fn sample(&self, position_mm: &Vector3<f64>) -> Option<f64> {
-        self.sample_at_voxel(&self.grid().to_voxel(position_mm))
-    }
-
-    /// Value at a continuous voxel index; `None` outside. For many samples along a line, whose places in the grid are found once.
-    #[inline]
-    pub fn sample_at_voxel(&self, voxel: &Vector3<f64>) -> Option<f64> {
-        let cell = Cell::at(self.grid().shape(), voxel)?;
-        let (earlier, later) = (cell.value(self.earlier.values()), cell.value(self.later.values()));
-        Some(earlier + self.later_weight * (later - earlier))
-    }
-
-    /// Value and gradient (per mm, world axes) at a world position (mm); `None` outside.
-    #[inline]
-    pub fn sample_with_gradient(&self, position_mm: &Vector3<f64>) -> Option<(f64, Vector3<f64>)> {
-        let cell = Cell::around(self.grid(), position_mm)?;
-        let (earlier, earlier_gradient) = cell.value_and_index_gradient(self.earlier.values());
-        let (later, later_gradient) = cell.value_and_index_gradient(self.later.values());
-        let gradient = earlier_gradient + self.later_weight * (later_gradient - earlier_gradient);
-        Some((earlier + self.later_weight * (later - earlier), self.grid().index_gradient_to_world(&gradient)))
+        self.frames()[earlier].mixed_with(&self.frames()[later], later_weight as f32)
     }
 }
 

@@ -39,6 +39,12 @@ impl Volume {
         self.values
     }
 
+    /// The mean with another volume on the same grid, of which the other has this share.
+    pub(super) fn mixed_with(&self, other: &Self, share: f32) -> Self {
+        let values = self.values.iter().zip(&other.values).map(|(own, other)| (1.0 - share) * own + share * other).collect();
+        Self { grid: self.grid.clone(), values }
+    }
+
     /// The value at a voxel.
     pub fn at(&self, voxel: [usize; 3]) -> f32 {
         self.values[self.grid.flat_index(voxel)]

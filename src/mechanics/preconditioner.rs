@@ -6,13 +6,15 @@ use nalgebra::Matrix3;
 
 use super::MechanicsError;
 use super::solver::StepMatrix;
-use crate::numerics::{BlockMatrix, CholeskyFactor, CholeskyWorkspace, LinearSolveError};
+use crate::numerics::{BlockMatrix, CholeskyFactor, CholeskyWorkspace, CompactFactor, LinearSolveError};
 
 /// The factor of K̃ + sym⁺(K_img) at an earlier step, in single precision.
 #[derive(Debug)]
 pub(super) struct Preconditioner {
     matrix: BlockMatrix,
     factor: Option<CholeskyFactor<f32>>,
+    /// The same in half the memory, for the loose tolerances and the few columns of a step of linear kinematics.
+    compact: Option<CompactFactor>,
     /// Fewest iterations of a solve that did not follow its factorisation.
     kept_floor: Option<usize>,
     excess: usize,
@@ -25,6 +27,11 @@ impl Preconditioner {
     /// None where single precision found the matrix not positive definite: then the operator's own factor serves.
     pub(super) fn factor(&self) -> Option<&CholeskyFactor<f32>> {
         self.factor.as_ref()
+    }
+
+    /// The factor rounded to 16 bits an entry; none for a tangent, whose rounds are solved closely.
+    pub(super) fn compact(&self) -> Option<&CompactFactor> {
+        self.compact.as_ref()
     }
 
     /// Iterations that it has cost beyond those it cost at first.
@@ -58,7 +65,8 @@ impl Preconditioner {
         step: StepMatrix<'_>,
         workspace: &mut CholeskyWorkspace<f32>,
     ) -> Result<Self, MechanicsError> {
-        let (mut matrix, factor) = earlier.map_or_else(|| (step.matrix.clone(), None), |earlier| (earlier.matrix, earlier.factor));
+        let (mut matrix, factor, compact) =
+            earlier.map_or_else(|| (step.matrix.clone(), None, None), |earlier| (earlier.matrix, earlier.factor, earlier.compact));
         matrix.copy_from(step.matrix);
         for (vertex, block) in step.stiffness_mn_per_mm.iter().enumerate().filter(|(_, block)| **block != Matrix3::zeros()) {
             matrix.add_to_diagonal(vertex, &positive_part(block));
@@ -75,7 +83,12 @@ impl Preconditioner {
             Err(LinearSolveError::NotPositiveDefinite { .. }) => None,
             Err(error) => return Err(error.into()),
         };
-        Ok(Self { matrix, factor, kept_floor: None, excess: 0, step_s: step.operator.step_s(), is_fresh: true })
+        let compact = match (&factor, compact) {
+            (Some(factor), Some(mut compact)) if !step.is_tangent() => compact.renew(factor).map(|()| Some(compact))?,
+            (Some(factor), None) if !step.is_tangent() => Some(CompactFactor::new(factor)),
+            _ => None,
+        };
+        Ok(Self { matrix, factor, compact, kept_floor: None, excess: 0, step_s: step.operator.step_s(), is_fresh: true })
     }
 }
 

@@ -8,8 +8,8 @@ use super::myocardium::check_size;
 use super::preconditioner::Preconditioner;
 use super::{MechanicsError, StepOperator, StepSystem};
 use crate::numerics::{
-    BlockMatrix, CholeskyFactor, CholeskyWorkspace, ConjugateGradientOutcome, KrylovLimits, KrylovReport, KrylovWorkspace,
-    LinearSolveError, conjugate_gradients, gmres,
+    BlockMatrix, CholeskyFactor, CholeskyWorkspace, CompactWorkspace, ConjugateGradientOutcome, KrylovLimits, KrylovReport,
+    KrylovWorkspace, LinearSolveError, conjugate_gradients, gmres,
 };
 
 /// Writes the products of the system's matrix with the listed columns of the first fields to those of the second.
@@ -66,6 +66,7 @@ pub struct StepSolver {
     settings: SolveSettings,
     direct: CholeskyWorkspace<f64>,
     single: CholeskyWorkspace<f32>,
+    compact: CompactWorkspace,
     krylov: KrylovWorkspace,
     preconditioner: Option<Preconditioner>,
     columns: Vec<Vec<Vector3<f64>>>,
@@ -355,11 +356,13 @@ impl StepSolver {
         relative_tolerance: f64,
     ) -> Result<(SolvePath, KrylovReport), MechanicsError> {
         let limits = KrylovLimits { relative_tolerance, iteration_limit: self.settings.iteration_limit };
-        let (direct, single) = (&mut self.direct, &mut self.single);
-        let factor = self.preconditioner.as_ref().and_then(Preconditioner::factor);
-        let mut precondition = |columns: &mut [Vec<Vector3<f64>>]| match factor {
-            Some(factor) => factor.solve_in_place(columns, single),
-            None => matrix.operator.factor().solve_in_place(columns, direct),
+        let Self { direct, single, compact, preconditioner, .. } = self;
+        let preconditioner = preconditioner.as_ref();
+        let factors = (preconditioner.and_then(Preconditioner::compact), preconditioner.and_then(Preconditioner::factor));
+        let mut precondition = |columns: &mut [Vec<Vector3<f64>>]| match factors {
+            (Some(factor), _) => factor.solve_in_place(columns, compact),
+            (None, Some(factor)) => factor.solve_in_place(columns, single),
+            (None, None) => matrix.operator.factor().solve_in_place(columns, direct),
         };
         if is_symmetric {
             match conjugate_gradients(product, &mut precondition, columns, &self.reference_norms, limits, &mut self.krylov)? {

@@ -8,7 +8,9 @@ use std::sync::Arc;
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{LltError, LltRegularization};
-use faer::sparse::linalg::cholesky::{CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky};
+use faer::sparse::linalg::cholesky::{
+    CholeskySymbolicParams, LltRef, SymbolicCholesky, SymbolicCholeskyRaw, SymmetricOrdering, factorize_symbolic_cholesky,
+};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::traits::RealField;
 use faer::{Conj, MatMut, Par, Side, Spec};
@@ -55,6 +57,31 @@ impl CholeskyStructure {
     /// Number of stored entries of a factor.
     pub fn stored_count(&self) -> usize {
         self.symbolic.len_val()
+    }
+
+    /// The unknowns in the order of the pivots: component a of vertex v is 3 v + a.
+    pub(super) fn pivots(&self) -> impl Iterator<Item = usize> + '_ {
+        let forward = self.symbolic.perm().map_or(&[][..], |permutation| permutation.arrays().0);
+        forward.iter().copied()
+    }
+
+    /// Every supernode: its first column, the number of its columns, the rows below their triangle, and where its columns begin among the
+    /// values of a factor.
+    pub(super) fn supernodes(&self) -> Vec<(usize, usize, &[usize], usize)> {
+        match self.symbolic.raw() {
+            SymbolicCholeskyRaw::Supernodal(supernodal) => (0..supernodal.n_supernodes())
+                .map(|place| {
+                    let (first, end) = (supernodal.supernode_begin()[place], supernodal.supernode_end()[place]);
+                    (first, end - first, supernodal.supernode(place).pattern(), supernodal.col_ptr_for_val()[place])
+                })
+                .collect(),
+            SymbolicCholeskyRaw::Simplicial(simplicial) => (0..simplicial.ncols())
+                .map(|column| {
+                    let values = simplicial.col_ptr()[column]..simplicial.col_ptr()[column + 1];
+                    (column, 1, &simplicial.row_idx()[values.start + 1..values.end], values.start)
+                })
+                .collect(),
+        }
     }
 
     fn vertex_of_pivot(&self, index: usize) -> usize {
@@ -141,6 +168,11 @@ impl<T: FactorScalar> CholeskyFactor<T> {
         let mut factor = Self { structure, values };
         factor.refactorise(matrix, workspace)?;
         Ok(factor)
+    }
+
+    /// The entries of L, supernode by supernode, column by column.
+    pub(super) fn values(&self) -> &[T] {
+        &self.values
     }
 
     /// The structure shared by all factors of a pattern.
@@ -280,12 +312,12 @@ fn fill_lower<T: FactorScalar>(matrix: &BlockMatrix, values: &mut Vec<T>) {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use nalgebra::{DMatrix, DVector, Matrix3};
 
     /// A grid of vertices joined along its axes and diagonals, with diagonally dominant pseudo-random blocks.
-    fn grid_matrix(edge: usize) -> BlockMatrix {
+    pub(in super::super) fn grid_matrix(edge: usize) -> BlockMatrix {
         let index = |i: usize, j: usize, k: usize| (i * edge + j) * edge + k;
         let mut neighbours = vec![vec![]; edge.pow(3)];
         for i in 0..edge {

@@ -1,5 +1,6 @@
 //! Numerical ground floor: block-sparse matrices, factorisation, quadratic programs, statistics.
 
+mod compact_factor;
 mod error;
 mod factor;
 mod krylov;
@@ -9,6 +10,7 @@ mod sparse;
 mod statistics;
 mod taylor;
 
+pub use compact_factor::{CompactFactor, CompactWorkspace};
 pub use error::LinearSolveError;
 pub use factor::{CholeskyFactor, CholeskyStructure, CholeskyWorkspace, FactorScalar};
 pub use krylov::{ConjugateGradientOutcome, KrylovLimits, KrylovReport, KrylovWorkspace, conjugate_gradients, gmres};

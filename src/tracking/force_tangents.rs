@@ -83,7 +83,7 @@ impl LoadTangent for ImageTangent<'_> {
 }
 
 impl<'a> SurfaceTangent<'a> {
-    fn new(force: &ImageForce<'_>, one: &'a SurfaceGain, taken: &TakenStep<'_>, instant: &ImageInstant<'_>) -> Self {
+    fn new(force: &ImageForce<'_>, one: &'a SurfaceGain, taken: &TakenStep<'_>, instant: &ImageInstant) -> Self {
         let (search, position_mm) = (&one.search, &taken.state.position_mm);
         let appearance = search.appearance();
         let found = search.find(force.surface, position_mm, instant);

@@ -2,45 +2,45 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::image::{CineInstant, CineSequence, Grid};
+use crate::image::{CineSequence, Grid, Volume};
 
 /// A cine sequence at one time, linear between frames and periodic, \[Billet2009\] §4.1.
-#[derive(Debug, Clone, Copy)]
-pub struct ImageInstant<'a> {
-    cine: CineInstant<'a>,
+#[derive(Debug, Clone)]
+pub struct ImageInstant {
+    image: Volume,
     voxel_axes_mm: Matrix3<f64>,
     world_to_voxel: Matrix3<f64>,
 }
 
-impl<'a> ImageInstant<'a> {
+impl ImageInstant {
     /// The images of `cine` at `time_s`.
-    pub fn new(cine: &'a CineSequence, time_s: f64) -> Self {
+    pub fn new(cine: &CineSequence, time_s: f64) -> Self {
         let grid = cine.grid();
         let voxel_axes_mm = grid.voxel_to_world().fixed_view::<3, 3>(0, 0).into_owned();
-        Self { cine: cine.at_time(time_s), voxel_axes_mm, world_to_voxel: grid.world_to_voxel_linear() }
+        Self { image: cine.at_time(time_s), voxel_axes_mm, world_to_voxel: grid.world_to_voxel_linear() }
     }
 
     /// Intensity at a world position (mm). A voxel reaches half its width beyond its centre: within that margin the outermost
     /// value stands, which matters at the first and last of few thick slices. Nothing further out.
     #[inline]
     pub fn value(&self, position_mm: &Vector3<f64>) -> Option<f64> {
-        self.value_at_voxel(&self.cine.grid().to_voxel(position_mm))
+        self.value_at_voxel(&self.image.grid().to_voxel(position_mm))
     }
 
     #[inline]
     fn value_at_voxel(&self, voxel: &Vector3<f64>) -> Option<f64> {
-        self.cine.sample_at_voxel(voxel).or_else(|| self.cine.sample_at_voxel(&within_centres(self.cine.grid(), voxel)?))
+        self.image.sample_at_voxel(voxel).or_else(|| self.image.sample_at_voxel(&within_centres(self.image.grid(), voxel)?))
     }
 
     /// The intensities along a line through a point (mm).
     pub(super) fn line(&self, origin_mm: &Vector3<f64>, direction: &Vector3<f64>) -> ImageLine<'_> {
-        ImageLine { instant: self, origin: self.cine.grid().to_voxel(origin_mm), per_mm: self.world_to_voxel * direction }
+        ImageLine { instant: self, origin: self.image.grid().to_voxel(origin_mm), per_mm: self.world_to_voxel * direction }
     }
 
     /// Gradient of the intensity (1/mm, world axes), from values one voxel to either side along each axis of the grid: smooth where
     /// the gradient of the trilinear interpolant jumps. With A the linear part of the voxel-to-world map, $\nabla I = A^{-T} \nabla_{ijk} I$.
     pub fn gradient_per_mm(&self, position_mm: &Vector3<f64>) -> Option<Vector3<f64>> {
-        let voxel = self.cine.grid().to_voxel(position_mm);
+        let voxel = self.image.grid().to_voxel(position_mm);
         let middle = self.value_at_voxel(&voxel)?;
         let mut slope = Vector3::zeros();
         for axis in 0..3 {
@@ -68,7 +68,7 @@ impl<'a> ImageInstant<'a> {
 /// A line through an image: its place in the grid is found once for all its points.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ImageLine<'a> {
-    instant: &'a ImageInstant<'a>,
+    instant: &'a ImageInstant,
     origin: Vector3<f64>,
     per_mm: Vector3<f64>,
 }
