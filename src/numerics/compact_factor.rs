@@ -291,6 +291,7 @@ fn halves<S: Simd>(simd: S, word: S::u32s) -> [S::f32s; 2] {
 #[cfg(test)]
 mod tests {
     use super::super::factor::tests::grid_matrix;
+    use super::super::krylov::Precondition;
     use super::super::{CholeskyWorkspace, ConjugateGradientOutcome, KrylovLimits, KrylovWorkspace, LinearSolveError, conjugate_gradients};
     use super::*;
 
@@ -332,7 +333,7 @@ mod tests {
         compact.renew(&factor).unwrap();
         let apply = |listed: &[usize], x: &[Vec<Vector3<f64>>], y: &mut [Vec<Vector3<f64>>]| matrix.multiply_columns(listed, x, y);
         let limits = KrylovLimits { relative_tolerance: 1e-6, iteration_limit: 20 };
-        let iterations = |precondition: &mut dyn FnMut(&mut [Vec<Vector3<f64>>]) -> Result<(), LinearSolveError>| {
+        let iterations = |precondition: &mut Precondition<'_>| {
             let mut columns = right_hand_sides(6);
             let norms: Vec<f64> = columns.iter().map(|c| c.iter().map(Vector3::norm_squared).sum::<f64>().sqrt()).collect();
             let mut work = KrylovWorkspace::default();
