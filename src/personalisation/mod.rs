@@ -33,8 +33,8 @@ pub use parameters::{FreeParameter, ParameterSpace, Transform};
 pub use problem::{CalibrationProblem, Evaluation, Linearisation};
 pub use profile::{ProfilePoint, RISE_95, crossing_95, profile};
 pub use residuals::{
-    ActivationResidual, BoundaryResidual, CalibrationFrame, CalibrationTrajectory, Loss, PressureResidual, PriorResidual, StackedResidual,
-    SurfaceTarget, Tie, VolumeCurveResidual,
+    ActivationResidual, BoundaryResidual, CalibrationFrame, CalibrationTrajectory, GroupDistances, Loss, PressureResidual, PriorResidual,
+    StackedResidual, SurfaceTarget, Tie, VolumeCurveResidual,
 };
 pub use search::{SearchMethod, SearchSettings, search};
 pub use start_values::{ElectricalTiming, PilotFit, VolumeTiming, conduction_velocity_mm_per_s, contraction_peak_for_ejection_fraction};
@@ -68,6 +68,16 @@ pub trait TangentModel: Sync {
     fn tangent_cost(&self, dimension: usize) -> f64;
 }
 
+/// What a row shares with others whose errors go along with its own: errors of one place last through the beat, and at one instant all places are
+/// early or late together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Cluster {
+    /// Surface and segment, or quantity.
+    pub place: u32,
+    /// Frame.
+    pub instant: u32,
+}
+
 /// Rows that compare a trajectory with data, already divided by their standard deviations.
 pub trait Residual<T>: Sync {
     /// Number of rows.
@@ -78,4 +88,10 @@ pub trait Residual<T>: Sync {
     fn apply_tangent(&self, trajectory: &T, tangent: &T, rows: &mut [f64]);
     /// Writes the loss of every row.
     fn write_losses(&self, losses: &mut [Loss]);
+    /// Writes the clusters of every row; as they come, all rows are of one place and each of an instant of its own.
+    fn write_clusters(&self, clusters: &mut [Cluster]) {
+        for (instant, cluster) in clusters.iter_mut().enumerate() {
+            *cluster = Cluster { place: 0, instant: instant as u32 };
+        }
+    }
 }

@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::constraints::InequalityConstraint;
 use super::journal::{Computed, Journal, JournalEntry};
-use super::{Loss, ParameterSpace, PersonalisationError, PriorResidual, Residual, TangentModel};
+use super::{Cluster, Loss, ParameterSpace, PersonalisationError, PriorResidual, Residual, TangentModel};
 
 /// What is minimised, over which box, under which constraints.
 pub struct CalibrationProblem<'a, M: TangentModel> {
@@ -221,6 +221,13 @@ impl<'a, M: TangentModel> CalibrationProblem<'a, M> {
     /// The constraints.
     pub fn constraints(&self) -> impl ExactSizeIterator<Item = &dyn InequalityConstraint> + '_ {
         self.constraints.iter().map(|constraint| constraint.as_ref() as &dyn InequalityConstraint)
+    }
+
+    /// The clusters of all data rows.
+    pub fn clusters(&self) -> Vec<Cluster> {
+        let mut clusters = vec![Cluster::default(); self.residual.row_count()];
+        self.residual.write_clusters(&mut clusters);
+        clusters
     }
 
     /// Whether someone asked to stop.

@@ -10,6 +10,7 @@ mod rasterise;
 mod scan;
 mod short_axis;
 mod synthetic_cine;
+mod valve_marks;
 
 pub use error::PhantomError;
 pub use idealised_lv::IdealisedLv;
@@ -18,3 +19,4 @@ pub use prescribed_motion::PrescribedContraction;
 pub use rasterise::{LABEL_CAVITY_LV, LABEL_CAVITY_RV, LABEL_WALL, TissueShares, VoxelSampling, rasterise};
 pub use short_axis::ShortAxisStack;
 pub use synthetic_cine::{SyntheticCine, SyntheticCineSettings, synthetic_cine};
+pub use valve_marks::marked_valve_ring_mm;

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use crate::image::{ImageError, LabelMap};
 
@@ -16,6 +16,31 @@ pub struct Plane {
 }
 
 impl Plane {
+    /// The plane nearest to at least three points (least squares of the distances), through their mean; `None` where they are fewer or lie on a line.
+    ///
+    /// ```
+    /// use cardiotwin::image::Plane;
+    /// use nalgebra::Vector3;
+    /// let ring_mm = [[1.0, 0.0, 5.1], [-1.0, 0.0, 4.9], [0.0, 1.0, 5.0], [0.0, -1.0, 5.0]].map(Vector3::from);
+    /// let plane = Plane::through(&ring_mm).expect("four points not on a line");
+    /// assert!((plane.point_mm.z - 5.0).abs() < 1e-12);
+    /// assert!((plane.normal.x / plane.normal.z + 0.1).abs() < 1e-12);
+    /// ```
+    pub fn through(points_mm: &[Vector3<f64>]) -> Option<Self> {
+        /// Points whose spread across their line is a smaller share of that along it lie on it.
+        const ON_A_LINE: f64 = 1e-3;
+        if points_mm.len() < 3 {
+            return None;
+        }
+        let point_mm = points_mm.iter().sum::<Vector3<f64>>() / points_mm.len() as f64;
+        let scatter: Matrix3<f64> = points_mm.iter().map(|p| (p - point_mm) * (p - point_mm).transpose()).sum();
+        let eigen = scatter.symmetric_eigen();
+        let mut order = [0, 1, 2];
+        order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
+        let [across, along] = [eigen.eigenvalues[order[1]], eigen.eigenvalues[order[2]]];
+        (across > ON_A_LINE.powi(2) * along).then(|| Self { point_mm, normal: eigen.eigenvectors.column(order[0]).into() })
+    }
+
     /// Signed distance, mm: positive on the side to which the normal points.
     pub fn signed_distance_mm(&self, position_mm: &Vector3<f64>) -> f64 {
         self.normal.dot(&(position_mm - self.point_mm))

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use nalgebra::Vector3;
 
 use super::{CalibrationTrajectory, Loss};
-use crate::personalisation::{PersonalisationError, Residual};
+use crate::personalisation::{Cluster, PersonalisationError, Residual};
 
 /// Where the image says that a surface vertex should be, at one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,8 +32,12 @@ pub struct SurfaceTarget {
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoundaryResidual {
     rows: Vec<BoundaryRow>,
+    sd_mm: f64,
     loss: Loss,
 }
+
+/// Mean signed distances by frame and group, mm.
+pub type GroupDistances = BTreeMap<(usize, u32), f64>;
 
 #[derive(Debug, Clone, PartialEq)]
 struct BoundaryRow {
@@ -41,6 +45,8 @@ struct BoundaryRow {
     group: u32,
     /// Vertex, point and normal scaled by c/(σ Σc).
     terms: Vec<(usize, Vector3<f64>, Vector3<f64>)>,
+    /// What the row is when the surface lies where it is seen.
+    offset: f64,
 }
 
 impl BoundaryResidual {
@@ -73,9 +79,9 @@ impl BoundaryResidual {
                 let factor = target.confidence / (sd_mm * total);
                 (target.vertex, target.point_mm, target.normal.normalize() * factor)
             };
-            (total > 0.0).then(|| BoundaryRow { frame, group, terms: members.iter().map(scaled).collect() })
+            (total > 0.0).then(|| BoundaryRow { frame, group, terms: members.iter().map(scaled).collect(), offset: 0.0 })
         });
-        Ok(Self { rows: rows.collect(), loss: Loss::Squares })
+        Ok(Self { rows: rows.collect(), sd_mm, loss: Loss::Squares })
     }
 
     /// With another loss.
@@ -83,6 +89,22 @@ impl BoundaryResidual {
     pub fn with_loss(mut self, loss: Loss) -> Self {
         self.loss = loss;
         self
+    }
+
+    /// The same where boundaries are seen `bias_mm` beyond the surface that they belong to; groups that it does not name are seen without bias.
+    #[must_use]
+    pub fn less_bias(mut self, bias_mm: &GroupDistances) -> Self {
+        for row in &mut self.rows {
+            row.offset = bias_mm.get(&(row.frame, row.group)).map_or(0.0, |bias_mm| bias_mm / self.sd_mm);
+        }
+        self
+    }
+
+    /// How far every group's boundary lies beyond the surface of a trajectory.
+    pub fn distances_mm(&self, trajectory: &CalibrationTrajectory) -> GroupDistances {
+        let mut rows = vec![0.0; self.rows.len()];
+        self.evaluate(trajectory, &mut rows);
+        self.groups().zip(rows).map(|(group, row)| (group, row * self.sd_mm)).collect()
     }
 
     /// Frame and group of every row.
@@ -101,7 +123,7 @@ impl Residual<CalibrationTrajectory> for BoundaryResidual {
             let distance = |&(vertex, point_mm, normal): &(usize, Vector3<f64>, Vector3<f64>)| {
                 normal.dot(&(point_mm - trajectory.position_mm(row.frame, vertex)))
             };
-            *value = row.terms.iter().map(distance).sum();
+            *value = row.terms.iter().map(distance).sum::<f64>() - row.offset;
         }
     }
 
@@ -113,6 +135,12 @@ impl Residual<CalibrationTrajectory> for BoundaryResidual {
 
     fn write_losses(&self, losses: &mut [Loss]) {
         losses.fill(self.loss);
+    }
+
+    fn write_clusters(&self, clusters: &mut [Cluster]) {
+        for (cluster, (frame, group)) in clusters.iter_mut().zip(self.groups()) {
+            *cluster = Cluster { place: group, instant: frame as u32 };
+        }
     }
 }
 
@@ -160,6 +188,23 @@ mod tests {
         for row in 0..2 {
             assert!(((at_there[row] - at_here[row]) / 0.25 - along[row]).abs() < 1e-12);
         }
+    }
+
+    /// Corrected by its own distances, a boundary leaves nothing to explain, and its tangent is what it was.
+    #[test]
+    fn a_known_bias_is_taken_off() {
+        let targets = [target(1, 0, 3.0, 1.0, 7), target(1, 1, 5.0, 3.0, 7), target(0, 0, 1.0, 1.0, 2)];
+        let (seen, here) = (BoundaryResidual::new(&targets, 0.5).unwrap(), trajectory([[0.0, 0.0], [2.0, 1.0]]));
+        let bias_mm = seen.distances_mm(&here);
+        assert!((bias_mm[&(1, 7)] - 3.25).abs() < 1e-14 && (bias_mm[&(0, 2)] - 1.0).abs() < 1e-14);
+        let corrected = seen.clone().less_bias(&bias_mm);
+        let mut rows = [1.0; 2];
+        corrected.evaluate(&here, &mut rows);
+        assert!(rows.iter().all(|row| row.abs() < 1e-14), "{rows:?}");
+        let [mut before, mut after] = [[0.0; 2]; 2];
+        seen.apply_tangent(&here, &here, &mut before);
+        corrected.apply_tangent(&here, &here, &mut after);
+        assert_eq!(before, after);
     }
 
     #[test]

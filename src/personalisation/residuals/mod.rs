@@ -8,7 +8,7 @@ mod trajectory;
 mod volume;
 
 pub use activation::ActivationResidual;
-pub use boundary::{BoundaryResidual, SurfaceTarget};
+pub use boundary::{BoundaryResidual, GroupDistances, SurfaceTarget};
 pub use loss::Loss;
 pub use pressure::PressureResidual;
 pub use trajectory::{CalibrationFrame, CalibrationTrajectory};
@@ -18,7 +18,7 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::{PersonalisationError, Residual};
+use super::{Cluster, PersonalisationError, Residual};
 
 /// Several residuals one under the other.
 pub struct StackedResidual<'a, T> {
@@ -88,6 +88,17 @@ impl<T> Residual<T> for StackedResidual<'_, T> {
 
     fn write_losses(&self, losses: &mut [Loss]) {
         self.split(losses, |part, own| part.write_losses(own));
+    }
+
+    /// Parts share instants, but no places.
+    fn write_clusters(&self, clusters: &mut [Cluster]) {
+        self.split(clusters, |part, own| part.write_clusters(own));
+        let mut first_place = 0;
+        for (_, rows) in self.parts() {
+            let own = &mut clusters[rows];
+            own.iter_mut().for_each(|cluster| cluster.place += first_place);
+            first_place = own.iter().map(|cluster| cluster.place + 1).max().unwrap_or(first_place);
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::{CalibrationTrajectory, Loss};
 use crate::anatomy::Ventricle;
-use crate::personalisation::{PersonalisationError, Residual};
+use crate::personalisation::{Cluster, PersonalisationError, Residual};
 
 /// r_k = (V(t_k) − V_k)/σ_V.
 #[derive(Debug, Clone, PartialEq)]
@@ -67,6 +67,12 @@ impl Residual<CalibrationTrajectory> for VolumeCurveResidual {
 
     fn write_losses(&self, losses: &mut [Loss]) {
         losses.fill(self.loss);
+    }
+
+    fn write_clusters(&self, clusters: &mut [Cluster]) {
+        for (frame, cluster) in clusters.iter_mut().enumerate() {
+            *cluster = Cluster { place: 0, instant: frame as u32 };
+        }
     }
 }
 

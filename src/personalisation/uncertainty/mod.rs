@@ -5,6 +5,7 @@
 //! on the coordinates that no bound holds. The singular values of W^{1/2} J S/s say, direction by direction, how much more (> 1) or less
 //! (< 1) the data know than the prior.
 
+mod clusters;
 mod estimate;
 
 pub use estimate::{BoundState, ParameterEstimate, estimates};
@@ -28,6 +29,9 @@ pub enum NoiseScale {
     AsStated,
     /// s² = Σ w r²/(n − p): the residuals that remain tell the noise (and the model's discrepancy), never less than stated.
     FromResiduals,
+    /// The residuals that remain tell the noise and the model's discrepancy, which make the rows of a place and those of an instant err together
+    /// ([`super::Cluster`]); never less than [`NoiseScale::FromResiduals`] says.
+    FromClusters,
     /// s is known, and the problem's prior is in units of the stated noise: the whole objective is over s², see [`super::Evidence`].
     OfObjective(f64),
 }
@@ -72,7 +76,7 @@ impl Uncertainty {
         let free: Vec<usize> = (0..problem.dimension()).filter(|&index| !held(index)).collect();
         let noise_scale = match noise {
             NoiseScale::AsStated => 1.0,
-            NoiseScale::FromResiduals => residual_scale(at, &weights, free.len())?,
+            NoiseScale::FromResiduals | NoiseScale::FromClusters => residual_scale(at, &weights, free.len())?,
             NoiseScale::OfObjective(scale) => scale,
         };
         let prior_scale = if matches!(noise, NoiseScale::OfObjective(_)) { noise_scale } else { 1.0 };
@@ -88,7 +92,19 @@ impl Uncertainty {
                 information[(row, column)] += precision[(other, index)] * scales[row] * scales[column];
             }
         }
-        let (scaled_covariance, undetermined) = inverse(information);
+        let (mut scaled_covariance, undetermined) = inverse(information);
+        if noise == NoiseScale::FromClusters {
+            // Whitened rows are over s, and so is A: A⁻¹ s_g keeps one factor s of it.
+            let mut scores = whitened.clone();
+            for (row, mut score) in scores.row_iter_mut().enumerate() {
+                score *= weights[row].sqrt() * at.rows[row] / noise_scale;
+            }
+            let meat = clusters::score_covariance(&scores, &problem.clusters());
+            let own =
+                DMatrix::from_fn(free.len(), free.len(), |row, column| precision[(free[row], free[column])] * scales[row] * scales[column]);
+            let sandwich = &scaled_covariance * (meat + own) * &scaled_covariance;
+            scaled_covariance = clusters::at_least(sandwich, &scaled_covariance);
+        }
         let covariance =
             DMatrix::from_fn(free.len(), free.len(), |row, column| scaled_covariance[(row, column)] * scales[row] * scales[column]);
         let mut sd = vec![None; problem.dimension()];

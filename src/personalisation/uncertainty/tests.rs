@@ -8,7 +8,8 @@ use super::*;
 use crate::heart::{Parameter, Parameters};
 use crate::numerics::{NORMAL_QUANTILE_95, chi_square_quantile};
 use crate::personalisation::{
-    DifferenceScheme, FiniteDifferenceModel, FreeParameter, GaussNewtonSettings, Loss, ParameterSpace, PriorResidual, Residual, calibrate,
+    Cluster, DifferenceScheme, FiniteDifferenceModel, FreeParameter, GaussNewtonSettings, Loss, ParameterSpace, PriorResidual, Residual,
+    calibrate,
 };
 
 /// Data d, constant standard deviation: r = (trajectory − d)/σ.
@@ -196,4 +197,77 @@ fn estimates_are_mapped_back_to_physical_units() {
     assert!((rows[0].interval_low.unwrap() - 100.0 * (-0.195_996_4_f64).exp()).abs() < 1e-4);
     assert_eq!(rows[0].interval_high, Some(105.0));
     assert_eq!((rows[1].sd, rows[2].sd, rows[2].interval_high), (None, None, None));
+}
+
+/// Values on a grid of places and instants.
+struct Gridded {
+    samples: Samples,
+    instants: usize,
+}
+
+impl Residual<DVector<f64>> for Gridded {
+    fn row_count(&self) -> usize {
+        self.samples.row_count()
+    }
+    fn evaluate(&self, trajectory: &DVector<f64>, rows: &mut [f64]) {
+        self.samples.evaluate(trajectory, rows);
+    }
+    fn apply_tangent(&self, at: &DVector<f64>, tangent: &DVector<f64>, rows: &mut [f64]) {
+        self.samples.apply_tangent(at, tangent, rows);
+    }
+    fn write_losses(&self, losses: &mut [Loss]) {
+        losses.fill(Loss::Squares);
+    }
+    fn write_clusters(&self, clusters: &mut [Cluster]) {
+        for (row, cluster) in clusters.iter_mut().enumerate() {
+            *cluster = Cluster { place: (row / self.instants) as u32, instant: (row % self.instants) as u32 };
+        }
+    }
+}
+
+/// The mean of `values` and its standard deviations by clusters and by rows.
+fn gridded_mean(values: Vec<f64>, instants: usize) -> (f64, [f64; 2]) {
+    let count = values.len();
+    let constant = move |theta: &DVector<f64>| -> Simulated { Ok(DVector::from_element(count, theta[0])) };
+    let residual = Gridded { samples: Samples { data: values, sd: 0.01 }, instants };
+    let (model, limit) = (model(constant, 1), DVector::from_element(1, 50.0));
+    let problem = CalibrationProblem::in_box(&model, &residual, PriorResidual::none(1), -&limit, limit).unwrap();
+    let found = calibrate(&problem, &DVector::zeros(1), GaussNewtonSettings::default(), &mut |_| ()).unwrap();
+    let at = found.linearisation.unwrap();
+    let sd = |noise| Uncertainty::new(&problem, &at, noise).unwrap().sd[0].unwrap();
+    (found.coordinates[0], [sd(NoiseScale::FromClusters), sd(NoiseScale::FromResiduals)])
+}
+
+/// Rows that are copies of each other are no more data than one of them: the deviation of the mean is that of the mean of the places.
+#[test]
+fn copies_of_a_row_are_not_counted_as_data() {
+    let of_places: [f64; 5] = [1.0, 2.0, 4.0, 3.0, 0.5];
+    let (mean, [clustered, by_rows]) = gridded_mean(of_places.iter().flat_map(|&value| [value; 8]).collect(), 8);
+    let spread: f64 = of_places.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / 4.0;
+    // Instants alike in every place add nothing; what place and instant both count is taken off, 1/n of it.
+    let both = of_places.iter().map(|value| (value - mean).powi(2)).sum::<f64>() * 8.0 / 1600.0 * 40.0 / 39.0;
+    let expected = (spread / 5.0 - both).sqrt();
+    assert!((clustered / expected - 1.0).abs() < 1e-6, "{clustered} {expected}");
+    assert!(by_rows < 0.4 * clustered, "{by_rows}");
+}
+
+/// Errors of places that last and of instants that all places share: 95 % intervals by clusters cover, those by rows promise three times too much.
+#[test]
+fn intervals_by_clusters_cover_where_rows_err_together() {
+    let (places, instants, repeats) = (20, 20, 300);
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let normal = Normal::new(0.0, 1.0).unwrap();
+    let mut covered = [0; 2];
+    for _ in 0..repeats {
+        let mut draw = |count: usize, sd: f64| -> Vec<f64> { (0..count).map(|_| sd * normal.sample(&mut random)).collect() };
+        let (of_places, of_instants, own) = (draw(places, 1.0), draw(instants, 0.7), draw(places * instants, 1.0));
+        let value = |row: usize| of_places[row / instants] + of_instants[row % instants] + own[row];
+        let (mean, sds) = gridded_mean((0..places * instants).map(value).collect(), instants);
+        for (count, sd) in covered.iter_mut().zip(sds) {
+            *count += usize::from(mean.abs() <= NORMAL_QUANTILE_95 * sd);
+        }
+    }
+    // Of 300: 285 in the mean; four standard errors of the count are 15, and few clusters promise a little too much.
+    assert!(covered[0] >= 265, "{covered:?}");
+    assert!(covered[1] <= 200, "{covered:?}");
 }

@@ -17,7 +17,7 @@ pub struct LabelsPlan {
     pub frame: usize,
     /// `label_slices`: the slices whose labels count, all where absent.
     pub slices: Option<Range<usize>>,
-    /// `base`, or `base_point_mm` and `base_normal`: where the heart is cut at the base.
+    /// `base`, or `base_points_mm`, or `base_point_mm` and `base_normal`: where the heart is cut at the base.
     pub base: BaseCut,
     /// `wall_thickness_lv_mm`: thickness of the wall that is grown around a left cavity without one; without it such slices do not count.
     pub wall_thickness_lv_mm: Option<f64>,
@@ -80,7 +80,7 @@ impl Choice for BaseCut {
 }
 
 /// The keys that are of no use without labels or masks.
-pub(super) const LABEL_KEYS: [&str; 10] = [
+pub(super) const LABEL_KEYS: [&str; 11] = [
     "code_cavity_lv",
     "code_wall_lv",
     "code_cavity_rv",
@@ -89,6 +89,7 @@ pub(super) const LABEL_KEYS: [&str; 10] = [
     "base",
     "base_point_mm",
     "base_normal",
+    "base_points_mm",
     "wall_thickness_lv_mm",
     "wall_thickness_rv_mm",
 ];
@@ -149,6 +150,16 @@ fn read_codes(table: &TableReader) -> HeartCodes {
 }
 
 fn read_base(table: &TableReader) -> BaseCut {
+    if let Some(points_mm) = table.vectors("base_points_mm") {
+        for key in ["base", "base_point_mm", "base_normal"].into_iter().filter(|key| table.has(key)) {
+            table.problem(key, "stands beside base_points_mm", "take one of the two away");
+        }
+        let plane = Plane::through(&points_mm);
+        if plane.is_none() {
+            table.problem("base_points_mm", "spans no plane", "write at least three points that do not lie on a line");
+        }
+        return plane.map_or(BaseCut::OuterFace, BaseCut::Plane);
+    }
     let flat = table.choice("base", BaseCut::OuterFace);
     let (point_mm, normal) = (table.vector("base_point_mm"), table.vector("base_normal"));
     let direction = normal.and_then(|normal| normal.try_normalize(1e-9));

@@ -25,7 +25,9 @@ pub use labels::{LabelSource, LabelsPlan};
 pub use mesh_file::{LengthUnit, MeshPlan, MeshSource};
 pub use model::{KinematicsPlan, ModelPlan, OnsetPlan, OnsetSite, SitePlan, TimeSchemePlan};
 pub use output::OutputPlan;
-pub use personalisation::{BoundaryData, DataPlan, FreeParameter, OrderPlan, PersonalisationPlan, Regions, Tangents, Ties, VolumeData};
+pub use personalisation::{
+    BoundaryData, DataPlan, FreeParameter, Intervals, OrderPlan, PersonalisationPlan, Regions, Tangents, Ties, VolumeData,
+};
 pub use phantom::{ContractionPlan, ModelAnatomy, PhantomPlan};
 pub use prediction::{OWN_ONSET, PredictionPlan};
 pub use sensitivity::{SensitivityMethod, SensitivityPlan};

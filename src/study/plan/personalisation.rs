@@ -88,6 +88,16 @@ words! {
     }
 }
 
+words! {
+    /// How intervals are had from the residuals that remain.
+    Intervals {
+        /// Rows of one segment, and rows of one frame, err together, \[Cameron2011\].
+        Clusters = "clusters",
+        /// Every row errs for itself.
+        Residuals = "residuals",
+    }
+}
+
 impl Choice for SearchMethod {
     const WORDS: &'static [(&'static str, Self)] = &[
         ("gauss_newton", Self::GaussNewton),
@@ -163,6 +173,13 @@ pub struct PersonalisationPlan {
     pub rounds: usize,
     /// `gain_decay`: factor on the image gains from round to round.
     pub gain_decay: f64,
+    /// `bias_rounds`: how often the fitted heart's own images are made and tracked, and parameters found again without what that shows of the
+    /// tracking's bias.
+    pub bias_rounds: usize,
+    /// `intervals`: what the residuals are taken to tell.
+    pub intervals: Intervals,
+    /// `rest_frame`: the image of the end of diastole, at which the heart rests, if it was drawn on another one: tracking carries the mesh there.
+    pub rest_frame: Option<usize>,
     /// `retrack`: whether the images are tracked once more with the heart that was found, for its discrepancy.
     pub retrack: bool,
     /// `profile`: parameters whose profile likelihood is drawn.
@@ -188,6 +205,9 @@ pub(super) fn read(table: TableReader, parameters: &Parameters) -> Option<Person
         tolerance: table.number("tolerance", 1e-8..=0.1, 1e-3),
         rounds: table.count("rounds", 1..=10, 1),
         gain_decay: table.number("gain_decay", 0.01..=1.0, 0.5),
+        bias_rounds: table.count("bias_rounds", 0..=20, 0),
+        intervals: table.choice("intervals", Intervals::Clusters),
+        rest_frame: table.optional_count("rest_frame", 0..=100_000),
         retrack: table.flag("retrack", true),
         profile,
         parameters: free,

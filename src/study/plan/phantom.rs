@@ -51,6 +51,8 @@ pub struct PhantomPlan {
     pub reference_scale: f64,
     /// `reference_shift_mm`: shift of that shape.
     pub reference_shift_mm: Vector3<f64>,
+    /// `valve_mark_sd_mm`: the standard deviation with which the valve ring is marked on long-axis views; it is not where absent.
+    pub valve_mark_sd_mm: Option<f64>,
     /// `voxel_size_mm`: voxel edge within a slice.
     pub voxel_size_mm: f64,
     /// `slice_thickness_mm`: slices average over it.
@@ -102,6 +104,7 @@ pub(super) fn read(table: TableReader) -> Option<PhantomPlan> {
         reference_frame: table.count("reference_frame", 0..=199, 0),
         reference_scale: table.number("reference_scale", 0.5..=2.0, 1.0),
         reference_shift_mm: table.vector("reference_shift_mm").unwrap_or_default(),
+        valve_mark_sd_mm: table.optional_number("valve_mark_sd_mm", 0.0..=20.0),
         voxel_size_mm: table.number("voxel_size_mm", 0.5..=10.0, 1.5),
         slice_thickness_mm,
         slice_distance_mm: table.number("slice_distance_mm", 0.5..=40.0, slice_thickness_mm),
@@ -117,6 +120,9 @@ pub(super) fn read(table: TableReader) -> Option<PhantomPlan> {
     });
     if let Some(plan) = plan.as_ref().filter(|plan| plan.reference_frame >= plan.frames) {
         table.problem("reference_frame", "is no image of the beat", format!("choose at most {}", plan.frames - 1));
+    }
+    if plan.as_ref().is_some_and(|plan| plan.valve_mark_sd_mm.is_some() && plan.anatomy == ModelAnatomy::Truth) {
+        table.problem("valve_mark_sd_mm", "is of no use with the true mesh", "write anatomy = \"labels\", or take it away");
     }
     table.close();
     plan

@@ -298,6 +298,9 @@ fn keys_of_labels_and_masks_that_contradict_each_other_are_named() {
     assert!(labels("base_normal = [0, 0, 1]\n").contains("anatomy.base_point_mm is missing"));
     assert!(labels("base_point_mm = [0, 0, 1]\nbase_normal = [0, 0, 0]\n").contains("base_normal = [0, 0, 0] has no direction"));
     assert!(labels("base = \"mid_slice\"\nbase_point_mm = [0, 0, 1]\nbase_normal = [0, 0, 1]\n").contains("take one of the two away"));
+    assert!(labels("base_points_mm = [[0, 0, 1], [1, 0, 1], [2, 0, 1]]\n").contains("spans no plane"));
+    assert!(labels("base_points_mm = [[0, 0, 1], [1, 0], [2, 0, 1]]\n").contains("is not a list of points"));
+    assert!(labels("base = \"mid_slice\"\nbase_points_mm = [[0, 0, 1], [1, 0, 1], [0, 1, 1]]\n").contains("stands beside base_points_mm"));
     assert!(labels("label_slices = [5, 2]\n").contains("is no range of slices"));
     assert!(labels("mask_epicardium = \"Cargo.toml\"\nmask_endocardium_lv = \"Cargo.toml\"\n").contains("stands beside mask_epicardium"));
     assert!(told("mask_epicardium = \"Cargo.toml\"\n").contains("anatomy.mask_endocardium_lv is missing"));

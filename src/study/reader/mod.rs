@@ -197,6 +197,20 @@ impl<'a> TableReader<'a> {
         Some(Vector3::new(numbers[0], numbers[1], numbers[2]))
     }
 
+    /// A list of vectors, if it is written.
+    pub(super) fn vectors(&self, key: &'static str) -> Option<Vec<Vector3<f64>>> {
+        let number = |value: &Value| value.as_float().or_else(|| value.as_integer().map(|n| n as f64)).filter(|n| n.is_finite());
+        let vector = |value: &Value| match value.as_array()?.iter().map(number).collect::<Option<Vec<f64>>>()?[..] {
+            [x, y, z] => Some(Vector3::new(x, y, z)),
+            _ => None,
+        };
+        let vectors = self.value(key)?.as_array().and_then(|list| list.iter().map(vector).collect());
+        if vectors.is_none() {
+            self.problem(key, "is not a list of points", "write points in brackets, [[x, y, z], …], in world coordinates (RAS)");
+        }
+        vectors
+    }
+
     /// A list of finite numbers, if it is written.
     pub(super) fn numbers(&self, key: &'static str) -> Option<Vec<f64>> {
         let number = |value: &Value| value.as_float().or_else(|| value.as_integer().map(|n| n as f64)).filter(|n| n.is_finite());

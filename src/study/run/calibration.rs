@@ -9,6 +9,7 @@ use super::data_table::{activation_times, pressures};
 use super::error::RunError;
 use super::measured::MeasuredVolumes;
 use super::patient::Patient;
+use super::replica::TrackingBias;
 use super::synthetic::Truth;
 use super::track::Tracked;
 use crate::anatomy::{Anatomy, Ventricle};
@@ -78,13 +79,14 @@ pub(super) fn calibration_trajectory(model: &HeartModel, trajectory: &Trajectory
     CalibrationTrajectory { frames: trajectory.frames.iter().map(frame).collect(), activation_s: model.activation().times_s().to_vec() }
 }
 
-/// Everything that the study wants the parameters to explain, part by part.
+/// Everything that the study wants the parameters to explain, part by part, where boundaries and base are tracked with a `bias`.
 pub(super) fn residual<'a>(
     data: &DataPlan,
     patient: &Patient,
     clock: &Clock,
     measured: &MeasuredVolumes,
     tracked: &Tracked,
+    bias: &TrackingBias,
 ) -> Result<StackedResidual<'a, CalibrationTrajectory>, RunError> {
     let mut stack = StackedResidual::default();
     if data.volumes != Some(VolumeData::None) {
@@ -100,11 +102,15 @@ pub(super) fn residual<'a>(
         (BoundaryData::Tracked | BoundaryData::Truth, _) => tracked_targets(anatomy, tracked),
     };
     if !targets.is_empty() {
-        let boundary = BoundaryResidual::new(&targets, data.sigma_boundary_mm)?.with_loss(Loss::Huber { threshold: HUBER_THRESHOLD });
+        let mut boundary = BoundaryResidual::new(&targets, data.sigma_boundary_mm)?.with_loss(Loss::Huber { threshold: HUBER_THRESHOLD });
+        if data.boundary == BoundaryData::Tracked {
+            boundary = boundary.less_bias(&bias.boundary_mm);
+        }
         stack = stack.with("boundary", boundary);
     }
     if let Some(sigma_mm) = data.sigma_base_mm {
-        stack = stack.with("base", BoundaryResidual::new(&base_targets(anatomy, clock, tracked), sigma_mm)?);
+        let base = BoundaryResidual::new(&base_targets(anatomy, clock, tracked), sigma_mm)?.less_bias(&bias.base_mm);
+        stack = stack.with("base", base);
     }
     if let Some(file) = &data.pressures {
         for (ventricle, measured) in pressures(file, clock)? {
@@ -124,7 +130,7 @@ fn right_sigma_ml(data: &DataPlan, measured: &MeasuredVolumes) -> Option<f64> {
 }
 
 /// The boundary points of all frames, grouped by surface and AHA segment.
-fn tracked_targets(anatomy: &Anatomy, tracked: &Tracked) -> Vec<SurfaceTarget> {
+pub(super) fn tracked_targets(anatomy: &Anatomy, tracked: &Tracked) -> Vec<SurfaceTarget> {
     let segments = vertex_segments(anatomy);
     let mut targets = Vec::new();
     // The first frame is the mesh as it was drawn, which hardly any parameter moves.
@@ -160,7 +166,7 @@ fn true_targets(anatomy: &Anatomy, truth: &Truth) -> Vec<SurfaceTarget> {
 }
 
 /// Where block matching has found the base: its mean along each axis of the heart, a frame.
-fn base_targets(anatomy: &Anatomy, clock: &Clock, tracked: &Tracked) -> Vec<SurfaceTarget> {
+pub(super) fn base_targets(anatomy: &Anatomy, clock: &Clock, tracked: &Tracked) -> Vec<SurfaceTarget> {
     let Some(matches) = &tracked.motion.base else { return Vec::new() };
     let long = anatomy.axes.long_axis;
     let axes: [Vector3<f64>; 3] = [long, anatomy.axes.septal_direction, long.cross(&anatomy.axes.septal_direction)];

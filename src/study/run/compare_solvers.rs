@@ -12,6 +12,7 @@ use super::page::{Account, leave_page};
 use super::patient::Patient;
 use super::personal_tables::iteration_rows;
 use super::personalise::status_of;
+use super::replica::TrackingBias;
 use super::search::{Found, Task, find, journal_of};
 use super::start::start_space;
 use super::track::track_patient;
@@ -65,7 +66,7 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let clock = patient.clock(plan.simulation.beats.count());
     let tracked = track_patient(plan, &patient, images, patient.parameters.clone(), context)?.whole()?;
     let measured = measured_volumes(plan, wanted, &patient, &clock, &tracked)?;
-    let residual = residual(&wanted.data, &patient, &clock, &measured, &tracked)?;
+    let residual = residual(&wanted.data, &patient, &clock, &measured, &tracked, &TrackingBias::default())?;
     let base = heart_model(&plan.model, &patient.anatomy, patient.parameters.clone())?;
     let (space, _) = start_space(wanted, &base, &clock, &measured.left_ml, context)?;
     let task = Task { wanted, base: &base, space: &space, clock: &clock, residual: &residual };

@@ -93,16 +93,19 @@ fn contracted(
     times_s.iter().map(frame).collect()
 }
 
-fn imaging(phantom: &PhantomPlan, slice_count: usize) -> SyntheticCineSettings {
+/// How slices average that are as thick and as far apart as this.
+pub(super) fn slice_sampling(thickness_mm: f64, distance_mm: f64) -> VoxelSampling {
     /// Samples along a slice are no farther apart than this, mm.
     const SAMPLE_MM: f64 = 4.0;
+    let planes = (thickness_mm / SAMPLE_MM).ceil().max(2.0) as usize;
+    VoxelSampling { samples_per_voxel: [2, 2, planes], thickness_share: thickness_mm / distance_mm }
+}
+
+/// How a phantom is imaged.
+pub(super) fn imaging(phantom: &PhantomPlan, slice_count: usize) -> SyntheticCineSettings {
     let default = SyntheticCineSettings::default();
-    let planes = (phantom.slice_thickness_mm / SAMPLE_MM).ceil().max(2.0) as usize;
     SyntheticCineSettings {
-        sampling: VoxelSampling {
-            samples_per_voxel: [2, 2, planes],
-            thickness_share: phantom.slice_thickness_mm / phantom.slice_distance_mm,
-        },
+        sampling: slice_sampling(phantom.slice_thickness_mm, phantom.slice_distance_mm),
         blood: phantom.blood,
         wall: phantom.wall,
         background: phantom.background,

@@ -22,6 +22,8 @@ pub(super) struct MeasuredVolumes {
     pub(super) right_ml: Option<Vec<f64>>,
     /// Whether they were measured without the heart's mesh.
     pub(super) is_measured: bool,
+    /// Whether they are those of the tracked heart.
+    pub(super) is_tracked: bool,
     pub(super) warnings: Vec<String>,
 }
 
@@ -36,15 +38,15 @@ pub(super) fn measured_volumes(
 ) -> Result<MeasuredVolumes, RunError> {
     let is_written = matches!(&plan.images, Some(ImageSource::Cine(images)) if images.volumes != VolumeSource::Images);
     let default = if is_written { VolumeData::Measured } else { VolumeData::Tracked };
-    let of_frames = |frames: &[FrameState]| {
+    let of_frames = |frames: &[FrameState], is_tracked: bool| {
         let right: Option<Vec<f64>> = frames.iter().map(|frame| frame.volume_ml.get(1).copied()).collect();
         let left_ml = frames.iter().filter_map(|frame| frame.volume_ml.first().copied()).collect();
-        MeasuredVolumes { left_ml, right_ml: right, is_measured: false, warnings: Vec::new() }
+        MeasuredVolumes { left_ml, right_ml: right, is_measured: false, is_tracked, warnings: Vec::new() }
     };
     match (wanted.data.volumes.unwrap_or(default), &patient.truth) {
-        (VolumeData::Truth, Some(truth)) => return Ok(of_frames(&truth.frames)),
+        (VolumeData::Truth, Some(truth)) => return Ok(of_frames(&truth.frames, false)),
         (VolumeData::Measured, _) => {}
-        (VolumeData::Tracked | VolumeData::Truth | VolumeData::None, _) => return Ok(of_frames(&tracked.motion.trajectory.frames)),
+        (VolumeData::Tracked | VolumeData::Truth | VolumeData::None, _) => return Ok(of_frames(&tracked.motion.trajectory.frames, true)),
     }
     let anatomy = &patient.anatomy;
     let (left, right) = smooth_curves(plan)?;
@@ -63,5 +65,5 @@ pub(super) fn measured_volumes(
     };
     let left_ml = at_frames(&left, Ventricle::Left)?.ok_or(RunError::NothingToFit)?;
     let right_ml = right.map(|right| at_frames(&right, Ventricle::Right)).transpose()?.flatten();
-    Ok(MeasuredVolumes { left_ml, right_ml, is_measured: true, warnings })
+    Ok(MeasuredVolumes { left_ml, right_ml, is_measured: true, is_tracked: false, warnings })
 }

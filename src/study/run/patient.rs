@@ -11,7 +11,7 @@ use super::synthetic::{self, Truth};
 use crate::anatomy::mesher::MesherSettings;
 use crate::anatomy::{Anatomy, AnatomySettings, FibreRule, IdealisedBiventricle, build_from_fields};
 use crate::heart::{Parameter, Parameters};
-use crate::image::{CineReading, CineSequence, FieldOptions, HeartCodes, LabelMap, PreprocessSettings, heart_fields, preprocess};
+use crate::image::{CineReading, CineSequence, FieldOptions, Grid, HeartCodes, LabelMap, PreprocessSettings, heart_fields, preprocess};
 use crate::study::RunContext;
 use crate::study::cine::StudyCine;
 use crate::study::drawn_heart::DrawnHeart;
@@ -40,6 +40,8 @@ pub(super) struct PatientImages {
     pub(super) long_axis: Vec<CineSequence>,
     /// Distance between the slices as acquired, mm; the prepared images no longer show it.
     pub(super) slice_distance_mm: f64,
+    /// The voxels as acquired, and how images on them are prepared.
+    pub(super) acquired: (Grid, PreprocessSettings),
     /// The frame that the mesh was drawn on.
     pub(super) reference_frame: usize,
     /// Labels that nothing was fitted to, with their frame and the code of the LV cavity.
@@ -189,7 +191,8 @@ fn prepared_images(
     }
     warnings.extend(study.warnings);
     let slice_distance_mm = study.cine.grid().spacing_mm().z;
-    Ok(PatientImages { cine: preprocess(&study.cine, &settings)?, long_axis, slice_distance_mm, reference_frame, validation })
+    let acquired = (study.cine.grid().clone(), settings);
+    Ok(PatientImages { cine: preprocess(&study.cine, &settings)?, long_axis, slice_distance_mm, acquired, reference_frame, validation })
 }
 
 /// What a study says of every anatomy.

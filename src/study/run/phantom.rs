@@ -216,6 +216,7 @@ fn shown_images(beat: &ImagedBeat) -> Result<PatientImages, RunError> {
         cine: preprocess(&beat.imaged.cine, &PreprocessSettings::default())?,
         long_axis: Vec::new(),
         slice_distance_mm: beat.imaged.cine.grid().spacing_mm().z,
+        acquired: (beat.imaged.cine.grid().clone(), PreprocessSettings::default()),
         reference_frame: 0,
         validation: Vec::new(),
     })

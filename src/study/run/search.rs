@@ -13,7 +13,7 @@ use crate::personalisation::{
     LinearConstraint, NoiseScale, ParameterSpace, RepolarisedBeforeNextBeat, SearchMethod, SearchSettings, StackedResidual, TangentModel,
     Uncertainty, crossing_95, data_sensitivities, profile, search,
 };
-use crate::study::plan::{PersonalisationPlan, Plan, Ties};
+use crate::study::plan::{Intervals, PersonalisationPlan, Plan, Ties};
 use crate::study::{Provenance, RunContext};
 
 /// Where a profile holds its parameter, in standard deviations of the linearised posterior.
@@ -104,7 +104,7 @@ pub(super) fn find(
     }
     let (mut uncertainty, mut sensitivities) = (None, Vec::new());
     if let Some(at) = &calibration.linearisation {
-        let noise = evidence.map_or(noise_scale(at.rows.len(), space), |told: Evidence| NoiseScale::OfObjective(told.noise_scale));
+        let noise = evidence.map_or(noise_scale(at.rows.len(), task), |told: Evidence| NoiseScale::OfObjective(told.noise_scale));
         uncertainty = Some(Uncertainty::new(&problem, at, noise)?);
         sensitivities = data_sensitivities(residual, at, &problem.scales(), &space.names())?;
     }
@@ -142,8 +142,12 @@ pub(super) fn journal_of(plan: &Plan, name: &str, provenance: &Provenance) -> Re
 }
 
 /// The noise is told by the residuals where they are more than the parameters.
-fn noise_scale(row_count: usize, space: &ParameterSpace) -> NoiseScale {
-    if row_count > space.dimension() { NoiseScale::FromResiduals } else { NoiseScale::AsStated }
+fn noise_scale(row_count: usize, task: &Task) -> NoiseScale {
+    match task.wanted.intervals {
+        _ if row_count <= task.space.dimension() => NoiseScale::AsStated,
+        Intervals::Clusters => NoiseScale::FromClusters,
+        Intervals::Residuals => NoiseScale::FromResiduals,
+    }
 }
 
 /// The problem with the orders and the repolarisation that the study asks for.

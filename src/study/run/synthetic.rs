@@ -9,9 +9,9 @@ use super::imaged_beat::{ImagedBeat, imaged_beat};
 use super::patient::{Patient, PatientImages, anatomy_from_labels};
 use crate::anatomy::Anatomy;
 use crate::heart::{FrameState, Parameter, Parameters};
-use crate::image::{FieldOptions, HeartCodes, PreprocessSettings, preprocess};
+use crate::image::{BaseCut, FieldOptions, HeartCodes, Plane, PreprocessSettings, preprocess};
 use crate::mesh::TetMesh;
-use crate::phantom::{LABEL_CAVITY_LV, LABEL_CAVITY_RV, LABEL_WALL};
+use crate::phantom::{LABEL_CAVITY_LV, LABEL_CAVITY_RV, LABEL_WALL, marked_valve_ring_mm};
 use crate::study::RunContext;
 use crate::study::plan::{ModelAnatomy, PhantomPlan, Plan};
 
@@ -25,6 +25,19 @@ pub(super) struct Truth {
     pub(super) anatomy: Arc<Anatomy>,
     /// Its positions at those frames.
     pub(super) frames: Vec<FrameState>,
+}
+
+impl Truth {
+    /// The same truth in the order of a beat that starts `later` images on.
+    pub(super) fn from_frame(self, later: usize) -> Self {
+        // The first image again last.
+        let turned = |count: usize| (later..count).chain(1..=later);
+        Self {
+            volumes_lv_ml: turned(self.volumes_lv_ml.len()).filter_map(|n| self.volumes_lv_ml.get(n).copied()).collect(),
+            frames: turned(self.frames.len()).filter_map(|n| self.frames.get(n).cloned()).collect(),
+            ..self
+        }
+    }
 }
 
 /// Makes the synthetic patient of a plan from the true heart, which has its shape at `reference_s`.
@@ -46,7 +59,8 @@ pub(super) fn patient(
     let seen = match phantom.anatomy {
         ModelAnatomy::Truth => as_drawn(&anatomy, &frames[reference_frame], phantom)?,
         ModelAnatomy::Labels => {
-            anatomy_from_labels(&plan.anatomy, &imaged.labels[reference_frame], &codes, &FieldOptions::default(), &mut warnings)?
+            let options = FieldOptions { base: base_cut(phantom, &anatomy, &frames[reference_frame])?, ..FieldOptions::default() };
+            anatomy_from_labels(&plan.anatomy, &imaged.labels[reference_frame], &codes, &options, &mut warnings)?
         }
     };
     let end_systole = imaged.volumes_ml.iter().enumerate().min_by(|a, b| a.1[0].total_cmp(&b.1[0])).map_or(0, |(frame, _)| frame);
@@ -54,6 +68,7 @@ pub(super) fn patient(
         cine: preprocess(&imaged.cine, &PreprocessSettings::default())?,
         long_axis: Vec::new(),
         slice_distance_mm: imaged.cine.grid().spacing_mm().z,
+        acquired: (imaged.cine.grid().clone(), PreprocessSettings::default()),
         reference_frame,
         validation: vec![(end_systole, imaged.labels[end_systole].clone(), LABEL_CAVITY_LV)],
     };
@@ -70,6 +85,13 @@ pub(super) fn patient(
         frames_without_images: plan.simulation.frames,
         warnings,
     })
+}
+
+/// Where the mesh of the labels is cut: by the valve plane where that was marked on long-axis views.
+fn base_cut(phantom: &PhantomPlan, anatomy: &Anatomy, frame: &FrameState) -> Result<BaseCut, RunError> {
+    let Some(sd_mm) = phantom.valve_mark_sd_mm else { return Ok(BaseCut::default()) };
+    let marks_mm = marked_valve_ring_mm(anatomy, &frame.position_mm, sd_mm, phantom.seed)?;
+    Ok(Plane::through(&marks_mm).map_or(BaseCut::default(), BaseCut::Plane))
 }
 
 /// The true heart, at rest in the shape of one instant of its beat, scaled about its centre and shifted.

@@ -11,7 +11,7 @@ use super::leave::{BeatSummary, Summary, frame_rows, write_base_motion, write_be
 use super::montages::{ImageScene, NamedMotion, montages};
 use super::page::{Account, Colouring, Frames, beat_section, key_figures, leave_page, motion_section, tracking_section, wall_section};
 use super::patient::{Patient, PatientImages};
-use super::personalise::{TrackingSummary, ValidationSummary, tracking_summary, validation_summary};
+use super::personal_summary::{TrackingSummary, ValidationSummary, tracking_summary, validation_summary};
 use super::pictures;
 use super::track::{Tracked, track_patient};
 use crate::mesh::MeshQuality;

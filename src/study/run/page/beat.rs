@@ -6,7 +6,7 @@ use crate::report::figures::{Curve, TimeBand};
 use crate::report::html::{Block, KeyFigure, Plot, Section, Table, readable};
 use crate::study::run::clock::Clock;
 use crate::study::run::leave::BeatSummary;
-use crate::study::run::personalise::TrackingSummary;
+use crate::study::run::personal_summary::TrackingSummary;
 use crate::study::run::pictures::{later, ventricle_figures};
 use crate::units::MS_PER_S;
 

@@ -7,7 +7,7 @@ use crate::report::figures::{Bar, Curve, Look};
 use crate::report::html::{Bars, Block, BullsEye, Plot, Scale, Section, Table};
 use crate::study::run::clock::Clock;
 use crate::study::run::discrepancy::{region_work_mj, segment_work_mj};
-use crate::study::run::personalise::{TrackingSummary, ValidationSummary};
+use crate::study::run::personal_summary::{TrackingSummary, ValidationSummary};
 use crate::study::run::track::Tracked;
 use crate::tracking::TrackedMotion;
 

@@ -11,6 +11,7 @@ use crate::study::progress::Silent;
 use crate::study::run::calibration::residual;
 use crate::study::run::measured::measured_volumes;
 use crate::study::run::patient::Patient;
+use crate::study::run::replica::TrackingBias;
 use crate::study::run::search::{Task, find};
 use crate::study::run::start::start_space;
 use crate::study::run::track::Tracked;
@@ -35,7 +36,7 @@ pub(super) fn recovered(
     let clock = patient.clock(1);
     let measured = measured_volumes(plan, wanted, patient, &clock, tracked)?;
     let (space, _) = start_space(wanted, model, &clock, &measured.left_ml, &context)?;
-    let residual = residual(&wanted.data, patient, &clock, &measured, tracked)?;
+    let residual = residual(&wanted.data, patient, &clock, &measured, tracked, &TrackingBias::default())?;
     let task = Task { wanted, base: model, space: &space, clock: &clock, residual: &residual };
     let calibration = find(&task, wanted.solver, &space.initial(), None, &context)?.calibration;
     let names = space.names().into_iter().map(|name| format!("{RECOVERED}{name}"));
