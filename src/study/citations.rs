@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::plan::{
-    AnatomySource, BaseMode, GainChoice, ImageSource, KinematicsPlan, OnsetSite, SensitivityMethod, VolumeData, VolumeSource,
+    AnatomySource, BaseMode, GainChoice, ImageSource, Intervals, KinematicsPlan, OnsetSite, SensitivityMethod, VolumeData, VolumeSource,
 };
 use super::{Kind, Plan};
 use crate::heart::Parameter;
@@ -119,6 +119,12 @@ fn of_search(plan: &Plan) -> Vec<&'static str> {
     let is_followed = matches!(&plan.images, Some(ImageSource::Cine(images)) if matches!(images.volumes, VolumeSource::Images));
     if wanted.data.volumes == Some(VolumeData::Measured) && is_followed {
         keys.push("Amini1990");
+    }
+    if wanted.bias_rounds > 0 {
+        keys.push("Gourieroux1993");
+    }
+    if wanted.intervals == Intervals::Clusters {
+        keys.push("Cameron2011");
     }
     keys
 }

@@ -206,7 +206,7 @@ pub(super) fn read(table: TableReader, parameters: &Parameters) -> Option<Person
         rounds: table.count("rounds", 1..=10, 1),
         gain_decay: table.number("gain_decay", 0.01..=1.0, 0.5),
         bias_rounds: table.count("bias_rounds", 0..=20, 0),
-        intervals: table.choice("intervals", Intervals::Clusters),
+        intervals: table.choice("intervals", Intervals::Residuals),
         rest_frame: table.optional_count("rest_frame", 0..=100_000),
         retrack: table.flag("retrack", true),
         profile,

@@ -123,7 +123,7 @@ impl TrackingBias {
         let frame = |(frame, ventricles): (usize, &Vec<f64>)| (0..ventricles.len()).map(|n| volume(frame, n)).collect();
         let grouped = |of: &dyn Fn(&Self) -> &GroupDistances| {
             let mut sums = std::collections::BTreeMap::<_, (f64, f64)>::new();
-            for (&key, &distance_mm) in replicas.iter().flat_map(|one| of(one)) {
+            for (&key, &distance_mm) in replicas.iter().flat_map(of) {
                 let (sum_mm, count) = sums.get(&key).copied().unwrap_or_default();
                 sums.insert(key, (sum_mm + distance_mm, count + 1.0));
             }

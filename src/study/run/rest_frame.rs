@@ -27,7 +27,7 @@ pub(super) fn carried_to(patient: Patient, tracked: &Tracked, frame: usize) -> R
     Ok(Patient {
         anatomy: Arc::new(moved(&patient.anatomy, &carried.position_mm)?),
         images: Some(PatientImages { reference_frame: frame, ..images }),
-        truth: patient.truth.map(|truth| truth.from_frame(later)),
+        truth: patient.truth.map(|truth| truth.turned_to(later)),
         ..patient
     })
 }

@@ -29,7 +29,7 @@ pub(super) struct Truth {
 
 impl Truth {
     /// The same truth in the order of a beat that starts `later` images on.
-    pub(super) fn from_frame(self, later: usize) -> Self {
+    pub(super) fn turned_to(self, later: usize) -> Self {
         // The first image again last.
         let turned = |count: usize| (later..count).chain(1..=later);
         Self {
