@@ -30,7 +30,7 @@ impl Bars {
     pub(super) fn html(&self) -> String {
         let height = TOP + ROW * self.bars.len() as f64 + FOOT;
         let letters = self.bars.iter().map(|bar| bar.name.chars().count()).max().unwrap_or(0);
-        let left = (12.0 + 6.6 * letters as f64).min(300.0);
+        let left = (14.0 + 7.4 * letters as f64).min(330.0);
         let right = WIDTH - 76.0;
         let ends = self.bars.iter().flat_map(|bar| {
             [Some(0.0), Some(bar.value), bar.beside, bar.interval.map(|i| i.0), bar.interval.map(|i| i.1)].into_iter().flatten()

@@ -65,7 +65,7 @@ fn of_figure(table: &PatientTable, figure: &str, run: &[(&CohortPatient, &Ledger
     let value = |row: &LedgerRow| table.field(row, figure).and_then(|field| field.parse::<f64>().ok());
     let bar =
         |(patient, row): &(&CohortPatient, &LedgerRow)| Some(Bar { name: patient.name.clone(), value: value(row)?, ..Bar::default() });
-    Bars { title: figure.replace('_', " "), bars: run.iter().filter_map(bar).collect(), ..Bars::default() }
+    Bars { title: figure.replace('_', " ").replace(" lv", " LV"), bars: run.iter().filter_map(bar).collect(), ..Bars::default() }
 }
 
 /// Figures that somebody has.
