@@ -238,3 +238,28 @@ fn empty_and_impossible_input_is_drawn_or_refused_and_never_panics() {
     let figure = CostHistory { title: String::new(), cost: vec![1.0] };
     assert!(matches!(cost_over_iterations(Path::new("no/such/folder/cost.png"), &figure), Err(ReportError::Write { .. })));
 }
+
+/// A grid that breaks shows another picture than one that does not, and cells that were not tried are drawn too.
+#[test]
+fn a_sweep_shows_what_broke() {
+    let grid = |broken: bool| {
+        let cell = |n: usize| if broken && n > 3 { SweepCell::BrokeAfterMs(565.0) } else { SweepCell::Result(2.3 + n as f64) };
+        (String::from("explicit"), (0..6).map(cell).chain([SweepCell::Untried; 2]).collect::<Vec<_>>())
+    };
+    let figure = |broken| Sweep {
+        title: "Mean RMSE (mm)".into(),
+        column_quantity: "step (ms)".into(),
+        row_quantity: "gain (kPa/mm)".into(),
+        columns: ["1", "2", "5", "10"].map(String::from).to_vec(),
+        rows: ["0.1", "1"].map(String::from).to_vec(),
+        grids: vec![grid(broken), grid(false)],
+    };
+    let drawn = [true, false].map(|broken| {
+        let file = place(&format!("sweep_{broken}.png"));
+        sweep(&file, &figure(broken)).unwrap();
+        let (size, colours) = looked_at(&file);
+        assert!(size.0 > 700 && size.1 > 300 && colours > 20, "{size:?} {colours}");
+        std::fs::read(file).unwrap()
+    });
+    assert_ne!(drawn[0], drawn[1]);
+}

@@ -15,8 +15,8 @@ use cardiotwin::phantom::{
     synthetic_cine,
 };
 use cardiotwin::tracking::{
-    BaseMode, BaseProjection, BlockMatchingSettings, CavityAgreement, ForceScheme, TrackedMotion, TrackerSettings, TrackingError,
-    match_base, track,
+    BaseMode, BaseProjection, BlockMatchingSettings, BlockShape, CavityAgreement, ForceScheme, TrackedMotion, TrackerSettings,
+    TrackingError, WallSettings, match_base, track,
 };
 use nalgebra::Vector3;
 
@@ -33,8 +33,11 @@ struct Scene {
 
 /// The ventricle ejects 35 % of its volume, its base comes down by 6 % of its length.
 fn scene(slice_distance_mm: f64, noise: f64) -> Scene {
-    let lv = IdealisedLv::default();
     let motion = PrescribedContraction { ejection_fraction: 0.35, shortening: 0.06, twist_rad: 0.05 };
+    scene_of(IdealisedLv::default(), motion, slice_distance_mm, noise)
+}
+
+fn scene_of(lv: IdealisedLv, motion: PrescribedContraction, slice_distance_mm: f64, noise: f64) -> Scene {
     let anatomy = Arc::new(lv.build(&MesherSettings::with_edge_length_mm(7.0), &AnatomySettings::default()).unwrap());
     let times_s: Vec<f64> = (0..FRAMES).map(|n| PERIOD_S * n as f64 / FRAMES as f64).collect();
     let share = |&time_s: &f64| PrescribedContraction::share_at(time_s, PERIOD_S * PEAK as f64 / FRAMES as f64, PERIOD_S);
@@ -150,6 +153,27 @@ fn block_matching_finds_the_descent_of_the_base() {
     let found_mm = mean(&mut matches.displacement_mm()[PEAK].iter().copied());
     assert!(truth_mm < -4.0, "{truth_mm} mm");
     assert!((found_mm - truth_mm).abs() < 1.5, "{found_mm} mm against {truth_mm} mm");
+}
+
+/// A lopsided ventricle turns by 12°: blocks in base and wall that the tracked heart carries see it, boundaries and stiff blocks at the base do not.
+#[test]
+fn blocks_that_the_heart_carries_see_how_it_turns() {
+    let lopsided = IdealisedLv { cross_section_ratio: 1.25, epicardium_offset_mm: 2.5, ..IdealisedLv::default() };
+    let motion = PrescribedContraction { ejection_fraction: 0.4, shortening: 0.1, twist_rad: 0.2 };
+    let scene = scene_of(lopsided, motion, 2.0, 4.0);
+    let model = weak_heart(&scene.anatomy, 20.0);
+    let blocks = |shape| BlockMatchingSettings { shape, ..BlockMatchingSettings::default() };
+    let rmse_mm = |shape, wall| {
+        let base = BaseMode::BlockMatching(blocks(shape));
+        let settings = TrackerSettings { base, wall, base_projection: BaseProjection::Full, ..TrackerSettings::default() };
+        let motion = track(&model, &scene.seen.cine, &settings, &mut |_, _| ControlFlow::Continue(())).unwrap();
+        let found = &motion.trajectory.frames[PEAK].position_mm;
+        let distances: Vec<f64> = found.iter().zip(&scene.truth_mm[PEAK]).map(|(a, b)| (a - b).norm()).collect();
+        cardiotwin::numerics::root_mean_square(&distances)
+    };
+    let still = rmse_mm(BlockShape::Still, None);
+    let carried = rmse_mm(BlockShape::Carried, Some(WallSettings { blocks: blocks(BlockShape::Carried), gain_kpa_per_mm2: 5.0 }));
+    assert!(carried < 1.5 && 2.0 * carried < still, "{carried} mm carried, {still} mm still");
 }
 
 /// One black frame gives a warning that names it, and the beat is tracked through it.

@@ -7,13 +7,14 @@ use super::error::within;
 use crate::anatomy::mesher::{MesherSettings, WallShape};
 use crate::anatomy::{Anatomy, AnatomySettings, Ventricle, build_anatomy};
 
-/// Endocardium and epicardium are half-ellipsoids of revolution about one axis and one centre, cut by a plane above their equator.
+/// Endocardium and epicardium are half-ellipsoids about parallel axes, cut by a plane above their equator; of revolution and of one centre unless
+/// `cross_section_ratio` or `epicardium_offset_mm` says otherwise, so that the images show how the heart turns.
 ///
 /// The default is a normal human left ventricle at diastasis: a cavity of 119 mL, 52 mm wide and 80 mm long, in a wall of 9 mm (thinner at
 /// the apex).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IdealisedLv {
-    /// Radius of the cavity at its equator, mm.
+    /// Radius of the cavity at its equator, mm; of the circle of the same area where the section is an ellipse.
     pub cavity_radius_mm: f64,
     /// Length of the cavity from its equator to its apex, mm.
     pub cavity_length_mm: f64,
@@ -23,7 +24,11 @@ pub struct IdealisedLv {
     pub wall_thickness_mm: f64,
     /// Thickness of the wall at the apex, mm.
     pub apex_thickness_mm: f64,
-    /// Centre of the equator in the world, mm.
+    /// Long over short axis ρ of the cavity's cross-section, an ellipse with the semi-axes $a\sqrt\rho$ and $a/\sqrt\rho$ along the own x and y.
+    pub cross_section_ratio: f64,
+    /// How far the epicardium lies off the cavity's axis along the own x, mm: the wall is thicker by that on one side and thinner on the other.
+    pub epicardium_offset_mm: f64,
+    /// Centre of the cavity's equator in the world, mm.
     pub centre_mm: Vector3<f64>,
     /// Direction from apex to base in the world; any length.
     pub long_axis: Vector3<f64>,
@@ -37,6 +42,8 @@ impl Default for IdealisedLv {
             base_height_mm: 18.0,
             wall_thickness_mm: 9.0,
             apex_thickness_mm: 7.0,
+            cross_section_ratio: 1.0,
+            epicardium_offset_mm: 0.0,
             centre_mm: Vector3::zeros(),
             long_axis: Vector3::z(),
         }
@@ -52,10 +59,11 @@ impl IdealisedLv {
         self.check()?;
         let own_frame = self.own_frame();
         let own = |p: &Vector3<f64>| own_frame * (p - self.centre_mm);
-        let cavity = |p: &Vector3<f64>| ellipsoid_distance_mm(&own(p), self.cavity_radius_mm, self.cavity_length_mm);
-        let (outer_radius_mm, outer_length_mm) = self.outer_axes_mm();
-        let epicardium = |p: &Vector3<f64>| ellipsoid_distance_mm(&own(p), outer_radius_mm, outer_length_mm);
-        let reach_mm = Vector3::repeat(outer_radius_mm.max(outer_length_mm) + 2.0 * mesher.edge_length_mm.abs());
+        let (inner_mm, outer_mm) = (self.inner_axes_mm(), self.outer_axes_mm());
+        let offset_mm = Vector3::x() * self.epicardium_offset_mm;
+        let cavity = |p: &Vector3<f64>| ellipsoid_distance_mm(&own(p), &inner_mm);
+        let epicardium = |p: &Vector3<f64>| ellipsoid_distance_mm(&(own(p) - offset_mm), &outer_mm);
+        let reach_mm = Vector3::repeat(outer_mm.amax() + offset_mm.norm() + 2.0 * mesher.edge_length_mm.abs());
         let base_normal = self.long_axis.normalize();
         let shape = WallShape {
             epicardium: &epicardium,
@@ -69,17 +77,22 @@ impl IdealisedLv {
 
     /// Volume of the cavity below the base plane, mm³: $\pi a^2 \left(\tfrac23 c + h - \tfrac{h^3}{3c^2}\right)$.
     pub fn cavity_volume_mm3(&self) -> f64 {
-        truncated_volume_mm3(self.cavity_radius_mm, self.cavity_length_mm, self.base_height_mm)
+        truncated_volume_mm3(&self.inner_axes_mm(), self.base_height_mm)
     }
 
     /// Volume of the wall below the base plane, mm³.
     pub fn wall_volume_mm3(&self) -> f64 {
-        let (radius_mm, length_mm) = self.outer_axes_mm();
-        truncated_volume_mm3(radius_mm, length_mm, self.base_height_mm) - self.cavity_volume_mm3()
+        truncated_volume_mm3(&self.outer_axes_mm(), self.base_height_mm) - self.cavity_volume_mm3()
     }
 
-    fn outer_axes_mm(&self) -> (f64, f64) {
-        (self.cavity_radius_mm + self.wall_thickness_mm, self.cavity_length_mm + self.apex_thickness_mm)
+    /// Semi-axes of the endocardium along the own axes, mm.
+    fn inner_axes_mm(&self) -> Vector3<f64> {
+        let stretch = self.cross_section_ratio.sqrt();
+        Vector3::new(self.cavity_radius_mm * stretch, self.cavity_radius_mm / stretch, self.cavity_length_mm)
+    }
+
+    fn outer_axes_mm(&self) -> Vector3<f64> {
+        self.inner_axes_mm() + Vector3::new(self.wall_thickness_mm, self.wall_thickness_mm, self.apex_thickness_mm)
     }
 
     fn check(&self) -> Result<(), PhantomError> {
@@ -94,6 +107,9 @@ impl IdealisedLv {
         }
         let most = 0.95 * self.cavity_length_mm;
         within("the base height in mm", self.base_height_mm, [-most, most], "lie well within the length of the cavity")?;
+        within("the ratio of the cross-section's axes", self.cross_section_ratio, [0.2, 5.0], "lie between 0.2 and 5")?;
+        let thinnest = 0.8 * self.wall_thickness_mm;
+        within("the offset of the epicardium in mm", self.epicardium_offset_mm, [-thinnest, thinnest], "leave a wall on both sides")?;
         within("the length of the long axis", self.long_axis.norm(), [1e-6, 1e6], "not be zero")?;
         if !self.centre_mm.iter().all(|x| x.is_finite()) {
             return Err(PhantomError::Setting { name: "the centre in mm", value: f64::NAN, expectation: "be finite" });
@@ -102,23 +118,22 @@ impl IdealisedLv {
     }
 
     /// World directions → the own frame, long axis along z.
-    fn own_frame(&self) -> Rotation3<f64> {
+    pub(super) fn own_frame(&self) -> Rotation3<f64> {
         let turn = Rotation3::rotation_between(&self.long_axis, &Vector3::z());
         turn.unwrap_or_else(|| Rotation3::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
     }
 }
 
-/// First-order distance to an ellipsoid of revolution about z, negative inside: $q (q - 1) / |\nabla \tfrac12 q^2|$, q the scaled radius.
-fn ellipsoid_distance_mm(p: &Vector3<f64>, radius_mm: f64, length_mm: f64) -> f64 {
-    let axes = Vector3::new(radius_mm, radius_mm, length_mm);
-    let scaled = p.component_div(&axes);
-    let (scaled_radius, slope) = (scaled.norm(), scaled.component_div(&axes).norm());
-    if slope > 0.0 { scaled_radius * (scaled_radius - 1.0) / slope } else { -radius_mm.min(length_mm) }
+/// First-order distance to an ellipsoid with its axes along x, y and z, negative inside: $q (q - 1) / |\nabla \tfrac12 q^2|$, q the scaled radius.
+fn ellipsoid_distance_mm(p: &Vector3<f64>, axes_mm: &Vector3<f64>) -> f64 {
+    let scaled = p.component_div(axes_mm);
+    let (scaled_radius, slope) = (scaled.norm(), scaled.component_div(axes_mm).norm());
+    if slope > 0.0 { scaled_radius * (scaled_radius - 1.0) / slope } else { -axes_mm.min() }
 }
 
-fn truncated_volume_mm3(radius_mm: f64, length_mm: f64, height_mm: f64) -> f64 {
-    let profile_mm = length_mm * 2.0 / 3.0 + height_mm - height_mm.powi(3) / (3.0 * length_mm * length_mm);
-    std::f64::consts::PI * radius_mm * radius_mm * profile_mm
+fn truncated_volume_mm3(axes_mm: &Vector3<f64>, height_mm: f64) -> f64 {
+    let profile_mm = axes_mm.z * 2.0 / 3.0 + height_mm - height_mm.powi(3) / (3.0 * axes_mm.z * axes_mm.z);
+    std::f64::consts::PI * axes_mm.x * axes_mm.y * profile_mm
 }
 
 #[cfg(test)]
@@ -129,7 +144,8 @@ mod tests {
     fn the_mesh_has_the_volumes_of_the_ellipsoids_wherever_they_lie() {
         let oblique =
             IdealisedLv { centre_mm: Vector3::new(-20.0, 35.0, 110.0), long_axis: Vector3::new(-0.6, 0.5, 0.4), ..IdealisedLv::default() };
-        for lv in [IdealisedLv::default(), oblique] {
+        let lopsided = IdealisedLv { cross_section_ratio: 1.3, epicardium_offset_mm: 3.0, ..oblique };
+        for lv in [IdealisedLv::default(), oblique, lopsided] {
             let anatomy = lv.build(&MesherSettings::with_edge_length_mm(4.0), &AnatomySettings::default()).unwrap();
             let wall_mm3 = anatomy.mesh.total_volume_mm3();
             let cavity_mm3 = anatomy.cavities[0].1.volume_mm3(anatomy.mesh.vertices_mm());
@@ -152,7 +168,8 @@ mod tests {
     fn impossible_shapes_are_refused() {
         let flat = IdealisedLv { wall_thickness_mm: 0.0, ..IdealisedLv::default() };
         let cut = IdealisedLv { base_height_mm: 80.0, ..IdealisedLv::default() };
-        for lv in [flat, cut] {
+        let open = IdealisedLv { epicardium_offset_mm: 9.0, ..IdealisedLv::default() };
+        for lv in [flat, cut, open] {
             let error = lv.build(&MesherSettings::with_edge_length_mm(4.0), &AnatomySettings::default()).unwrap_err();
             assert!(matches!(error, PhantomError::Setting { .. }), "{error}");
         }

@@ -56,6 +56,12 @@ impl BaseMatches {
         Self { vertices, times_s, period_s, displacement_mm, confidence }
     }
 
+    /// Takes the matches of one frame for better ones.
+    pub(super) fn set(&mut self, frame: usize, displacement_mm: Vec<Vector3<f64>>, confidence: Vec<f64>) {
+        self.displacement_mm[frame] = displacement_mm;
+        self.confidence[frame] = confidence;
+    }
+
     /// Refuses matches of vertices that a mesh does not have.
     pub(super) fn check_vertices(&self, vertex_count: usize) -> Result<(), TrackingError> {
         let Some(vertex) = self.vertices.iter().find(|&&vertex| vertex >= vertex_count) else { return Ok(()) };

@@ -16,10 +16,21 @@ use crate::image::CineSequence;
 #[serde(rename_all = "snake_case")]
 pub enum Similarity {
     /// Sum of squared differences, as in \[Billet2009\] §5.
-    #[default]
     Ssd,
     /// Normalised cross-correlation: blind to brightness and contrast.
+    #[default]
     Ncc,
+}
+
+/// What a block is like when it is looked for in a later frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BlockShape {
+    /// As it was, looked for around where all blocks were in the frame before, before the heart is tracked, \[Billet2009\] §5.
+    #[default]
+    Still,
+    /// As the tracked heart has deformed it, looked for around where the heart has carried it, while it is tracked.
+    Carried,
 }
 
 /// How blocks are matched.
@@ -40,21 +51,21 @@ pub struct BlockMatchingSettings {
     pub variance_share: f64,
     /// Share of the matches that is kept after trimming those farthest from the common affine motion.
     pub trimmed_share: f64,
-    /// How often blocks are matched and the heart is tracked; from the second time on blocks are carried by the motion of the time before.
-    pub rounds: usize,
+    /// What a block is like when it is looked for again.
+    pub shape: BlockShape,
 }
 
 impl Default for BlockMatchingSettings {
     fn default() -> Self {
         Self {
-            similarity: Similarity::Ssd,
+            similarity: Similarity::Ncc,
             voxel_mm: 1.5,
             block_radius_voxels: 4,
             levels: 3,
             range_mm: 6.0,
             variance_share: 0.75,
             trimmed_share: 0.75,
-            rounds: 1,
+            shape: BlockShape::Still,
         }
     }
 }
@@ -122,8 +133,7 @@ pub(super) fn check(settings: &BlockMatchingSettings) -> Result<(), TrackingErro
     TrackingError::check_setting("levels", settings.levels as f64, 1.0, 6.0)?;
     TrackingError::check_setting("range_mm", settings.range_mm, settings.voxel_mm, 100.0)?;
     TrackingError::check_setting("variance_share", settings.variance_share, 0.01, 1.0)?;
-    TrackingError::check_setting("trimmed_share", settings.trimmed_share, 0.01, 1.0)?;
-    TrackingError::check_setting("rounds", settings.rounds as f64, 1.0, 10.0)
+    TrackingError::check_setting("trimmed_share", settings.trimmed_share, 0.01, 1.0)
 }
 
 /// Which places have the blocks of the highest variance.

@@ -55,7 +55,7 @@ pub(super) fn blocks_of(pyramid: &Pyramid, centre_mm: &Vector3<f64>, radius: usi
 }
 
 /// The block around a point as it looks when the tissue has deformed by F: its voxel at s shows what was at F⁻¹ s. Voxels that show what
-/// `counts` does not are left out; nothing if the block leaves the image or fewer than a quarter of its voxels count.
+/// `counts` does not are left out; nothing if the block leaves the image or fewer than a sixth of its voxels count.
 pub(super) fn deformed_block(
     level: &Level,
     centre_mm: &Vector3<f64>,
@@ -63,7 +63,7 @@ pub(super) fn deformed_block(
     radius: usize,
     counts: impl Fn(&Vector3<f64>) -> bool,
 ) -> Option<Block> {
-    const LEAST_SHARE: f64 = 0.25;
+    const LEAST_SHARE: f64 = 1.0 / 6.0;
     if !level.holds_block(centre_mm, radius) {
         return None;
     }

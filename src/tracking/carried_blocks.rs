@@ -1,4 +1,4 @@
-//! Blocks that deform with the tissue: matched a second time, from where an earlier tracked motion carries them and as it deforms them.
+//! Blocks that deform with the tissue: matched from where the tracked heart carries them and as it deforms them.
 //!
 //! A block of the reference image that straddles the base is a bad likeness of itself at end-systole: the wall below it has thickened,
 //! turned and drawn in, what lies above it has not. Compared as it was, it is found where the images have deformed least, which is up
@@ -11,46 +11,53 @@ use rayon::prelude::*;
 use super::block_matching::{check, highest_variance, trust};
 use super::blocks::{Block, Match, deformed_block, search};
 use super::pyramid::Pyramid;
-use super::{BaseMatches, BlockMatchingSettings, TrackingError};
+use super::tissue_mask::TissueMask;
+use super::{BlockMatchingSettings, TrackingError};
 use crate::image::CineSequence;
 use crate::mesh::{SurfaceTag, TaggedSurface};
 
 /// Carried blocks are searched this many voxels around the place that is expected.
 const REACH_VOXELS: f64 = 3.0;
 
-/// Where vertices go and how the tissue around them deforms, frame by frame of a cine sequence.
+/// How the tissue around some vertices of a mesh is carried and deformed.
 #[derive(Debug, Clone, PartialEq)]
-pub struct CarriedMotion {
+pub(super) struct Carrier {
     vertices: Vec<usize>,
+    /// Of all vertices of the mesh.
     rest_mm: Vec<Vector3<f64>>,
-    /// By frame and place.
-    displacement_mm: Vec<Vec<Vector3<f64>>>,
-    /// $F^{-1}$ by frame and place.
-    inverse: Vec<Vec<Matrix3<f64>>>,
+    /// The vertices around each, with their weights.
+    near: Vec<Vec<(usize, f64)>>,
 }
 
-impl CarriedMotion {
-    /// The motion of `vertices` in a mesh at rest at `rest_mm` and at `frames_mm` in the frames of the cine; its deformation is that of
-    /// the vertices within `reach_mm`, nearer ones counting more:
+/// Displacements (mm) and $F^{-1}$ by place.
+pub(super) type Carried = (Vec<Vector3<f64>>, Vec<Matrix3<f64>>);
+
+impl Carrier {
+    /// The deformation at each of `vertices` is that of the vertices within `reach_mm`, nearer ones counting more:
     /// $F = (\sum w\, \Delta y \Delta x^\top + \epsilon I)(\sum w\, \Delta x \Delta x^\top + \epsilon I)^{-1}$, $w = (1 - |\Delta x|^2/r^2)^2$.
-    pub fn new(rest_mm: &[Vector3<f64>], frames_mm: &[&[Vector3<f64>]], vertices: Vec<usize>, reach_mm: f64) -> Self {
+    pub(super) fn new(rest_mm: &[Vector3<f64>], vertices: Vec<usize>, reach_mm: f64) -> Self {
         let near = |&vertex: &usize| {
             let weight =
                 |other: usize| (other, (1.0 - (rest_mm[other] - rest_mm[vertex]).norm_squared() / reach_mm.powi(2)).max(0.0).powi(2));
             (0..rest_mm.len()).filter(|&other| other != vertex).map(weight).filter(|(_, weight)| *weight > 0.0).collect()
         };
-        let near: Vec<Vec<(usize, f64)>> = vertices.par_iter().map(near).collect();
-        let of_frame = |now_mm: &&[Vector3<f64>]| {
-            let inverse = vertices.iter().zip(&near).map(|(&vertex, near)| inverse_gradient(rest_mm, now_mm, vertex, near));
-            let displacement = vertices.iter().map(|&vertex| now_mm[vertex] - rest_mm[vertex]);
-            (displacement.collect(), inverse.collect())
-        };
-        let (displacement_mm, inverse) = frames_mm.par_iter().map(of_frame).unzip();
-        Self { rest_mm: vertices.iter().map(|&vertex| rest_mm[vertex]).collect(), vertices, displacement_mm, inverse }
+        let near = vertices.par_iter().map(near).collect();
+        Self { vertices, rest_mm: rest_mm.to_vec(), near }
     }
 
-    fn greatest_mm(&self) -> f64 {
-        self.displacement_mm.iter().flatten().map(Vector3::norm).fold(0.0, f64::max)
+    pub(super) fn vertices(&self) -> &[usize] {
+        &self.vertices
+    }
+
+    pub(super) fn centres_mm(&self) -> Vec<Vector3<f64>> {
+        self.vertices.iter().map(|&vertex| self.rest_mm[vertex]).collect()
+    }
+
+    /// Where a mesh at `now_mm` has carried them.
+    pub(super) fn carry(&self, now_mm: &[Vector3<f64>]) -> Carried {
+        let displacement = self.vertices.iter().map(|&vertex| now_mm[vertex] - self.rest_mm[vertex]);
+        let inverse = self.vertices.iter().zip(&self.near).map(|(&vertex, near)| inverse_gradient(&self.rest_mm, now_mm, vertex, near));
+        (displacement.collect(), inverse.collect())
     }
 }
 
@@ -69,14 +76,14 @@ fn inverse_gradient(rest_mm: &[Vector3<f64>], now_mm: &[Vector3<f64>], vertex: u
 
 /// The plane of the base at rest: nothing is known of how the tissue beyond it deforms.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BasePlane {
+pub(super) struct BasePlane {
     point_mm: Vector3<f64>,
     normal: Vector3<f64>,
 }
 
 impl BasePlane {
     /// The mean plane of the base; nothing of a mesh without one.
-    pub fn of(surface: &TaggedSurface, position_mm: &[Vector3<f64>]) -> Option<Self> {
+    pub(super) fn of(surface: &TaggedSurface, position_mm: &[Vector3<f64>]) -> Option<Self> {
         let area_mm2 = surface.vertex_area_vectors_mm2(SurfaceTag::Base, position_mm);
         let total: f64 = area_mm2.iter().map(Vector3::norm).sum();
         let point_mm = area_mm2.iter().zip(position_mm).map(|(area, point)| point * area.norm()).sum::<Vector3<f64>>() / total;
@@ -89,56 +96,78 @@ impl BasePlane {
     }
 }
 
-/// Matches the blocks around the vertices of a motion in every frame again, each from where the motion carries it and deformed as the
-/// motion deforms it, without what lies beyond the base. How far a match is trusted, its neighbours decide: see `agreement`.
-///
-/// # Errors
-/// As [`super::match_base`].
-pub fn match_carried(
-    cine: &CineSequence,
-    reference_frame: usize,
-    expected: &CarriedMotion,
-    plane: Option<&BasePlane>,
-    settings: &BlockMatchingSettings,
-) -> Result<BaseMatches, TrackingError> {
-    check(settings)?;
-    let (centres, radius) = (&expected.rest_mm, settings.block_radius_voxels);
-    let range_mm = settings.range_mm.min(REACH_VOXELS * settings.voxel_mm);
-    let reach_mm = expected.greatest_mm() + range_mm + settings.voxel_mm * (radius + 2) as f64;
-    let image_of = |frame: usize| Pyramid::around(&cine.frames()[frame], centres, reach_mm, settings.voxel_mm, 1);
-    let reference = image_of(reference_frame % cine.frames().len());
-    let block_of = |place: usize, inverse: &Matrix3<f64>| {
-        let highest_mm = plane.map_or(f64::INFINITY, |plane| plane.height_mm(&centres[place]).max(0.0) + 1e-3);
-        let counts = |point_mm: &Vector3<f64>| plane.is_none_or(|plane| plane.height_mm(point_mm) <= highest_mm);
-        deformed_block(&reference.levels()[0], &centres[place], inverse, radius, counts)
-    };
-    let still: Vec<Vec<Block>> =
-        (0..centres.len()).into_par_iter().map(|place| block_of(place, &Matrix3::identity()).into_iter().collect()).collect();
-    let usable = highest_variance(&still, settings.variance_share);
-    if usable.iter().all(|&is_usable| !is_usable) {
-        return Err(TrackingError::BaseNotCovered { vertex_count: centres.len() });
+/// The blocks of the reference frame around some places, to be found again in other frames, each from where it is carried and deformed as
+/// the tissue is, without what lies beyond the base or outside the wall.
+pub(super) struct CarriedBlocks<'a> {
+    cine: &'a CineSequence,
+    settings: BlockMatchingSettings,
+    plane: Option<BasePlane>,
+    tissue: Option<TissueMask>,
+    centres_mm: Vec<Vector3<f64>>,
+    reference: Pyramid,
+    usable: Vec<bool>,
+    neighbours: Vec<Vec<usize>>,
+}
+
+impl<'a> CarriedBlocks<'a> {
+    /// The blocks around `centres_mm`.
+    ///
+    /// # Errors
+    /// As [`super::match_base`].
+    pub(super) fn new(
+        cine: &'a CineSequence,
+        reference_frame: usize,
+        centres_mm: Vec<Vector3<f64>>,
+        (plane, tissue): (Option<BasePlane>, Option<TissueMask>),
+        settings: BlockMatchingSettings,
+    ) -> Result<Self, TrackingError> {
+        check(&settings)?;
+        let radius = settings.block_radius_voxels;
+        let side_mm = settings.voxel_mm * (2 * radius + 2) as f64;
+        let image = &cine.frames()[reference_frame % cine.frames().len()];
+        let reference = Pyramid::around(image, &centres_mm, side_mm, settings.voxel_mm, 1);
+        let neighbours = neighbours_within(&centres_mm, settings.voxel_mm * (2 * radius + 1) as f64);
+        let mut blocks = Self { cine, settings, plane, tissue, centres_mm, reference, usable: Vec::new(), neighbours };
+        let places = 0..blocks.centres_mm.len();
+        let still: Vec<Vec<Block>> =
+            places.into_par_iter().map(|place| blocks.block(place, &Matrix3::identity()).into_iter().collect()).collect();
+        blocks.usable = highest_variance(&still, settings.variance_share);
+        if blocks.usable.iter().all(|&is_usable| !is_usable) {
+            return Err(TrackingError::BaseNotCovered { vertex_count: blocks.centres_mm.len() });
+        }
+        Ok(blocks)
     }
-    let neighbours = neighbours_within(centres, settings.voxel_mm * (2 * radius + 1) as f64);
-    let (mut displacement_mm, mut confidence) = (Vec::new(), Vec::new());
-    for (carried_mm, inverse) in expected.displacement_mm.iter().zip(&expected.inverse) {
-        let moving = image_of(displacement_mm.len());
+
+    fn block(&self, place: usize, inverse: &Matrix3<f64>) -> Option<Block> {
+        let centre_mm = &self.centres_mm[place];
+        let highest_mm = self.plane.map_or(f64::INFINITY, |plane| plane.height_mm(centre_mm).max(0.0) + 1e-3);
+        let is_below = |point_mm: &Vector3<f64>| self.plane.is_none_or(|plane| plane.height_mm(point_mm) <= highest_mm);
+        let counts = |point_mm: &Vector3<f64>| is_below(point_mm) && self.tissue.as_ref().is_none_or(|tissue| tissue.holds(point_mm));
+        deformed_block(&self.reference.levels()[0], centre_mm, inverse, self.settings.block_radius_voxels, counts)
+    }
+
+    /// Displacements (mm) of the blocks in a frame and how far each is to be trusted, which its neighbours decide: see [`agreement`].
+    pub(super) fn find(&self, frame: usize, (carried_mm, inverse): &Carried) -> (Vec<Vector3<f64>>, Vec<f64>) {
+        let BlockMatchingSettings { voxel_mm, block_radius_voxels, similarity, range_mm, trimmed_share, .. } = self.settings;
+        let range_mm = range_mm.min(REACH_VOXELS * voxel_mm);
+        let greatest_mm = carried_mm.iter().map(Vector3::norm).fold(0.0, f64::max);
+        let reach_mm = greatest_mm + range_mm + voxel_mm * (block_radius_voxels + 2) as f64;
+        let moving = Pyramid::around(&self.cine.frames()[frame], &self.centres_mm, reach_mm, voxel_mm, 1);
         let find = |place: usize| {
-            let block = [block_of(place, &inverse[place]).filter(|_| usable[place])?];
-            search(&block, &moving, &centres[place], &carried_mm[place], (settings.similarity, range_mm))
+            let block = [self.block(place, &inverse[place]).filter(|_| self.usable[place])?];
+            search(&block, &moving, &self.centres_mm[place], &carried_mm[place], (similarity, range_mm))
         };
-        let found: Vec<Option<Match>> = (0..centres.len()).into_par_iter().map(find).collect();
-        let beside_mm = |place: usize| found[place].map(|m| (m.displacement_mm - carried_mm[place], m.similarity));
-        let beside: Vec<_> = (0..centres.len()).map(beside_mm).collect();
-        let (common_mm, trust) = agreement(&beside, &neighbours, settings.trimmed_share);
+        let places = 0..self.centres_mm.len();
+        let found: Vec<Option<Match>> = places.clone().into_par_iter().map(find).collect();
+        let beside: Vec<_> =
+            found.iter().zip(carried_mm).map(|(found, carried)| found.map(|m| (m.displacement_mm - carried, m.similarity))).collect();
+        let (common_mm, trust) = agreement(&beside, &self.neighbours, trimmed_share);
         let chosen = |place: usize| match found[place].filter(|_| trust[place] > 0.0) {
             Some(own) => (own.displacement_mm, own.similarity * trust[place]),
             None => (carried_mm[place] + common_mm[place], 0.0),
         };
-        let (shifts, sure): (Vec<_>, Vec<_>) = (0..centres.len()).map(chosen).unzip();
-        displacement_mm.push(shifts);
-        confidence.push(sure);
+        places.map(chosen).unzip()
     }
-    Ok(BaseMatches::new(expected.vertices.clone(), cine.times_s().to_vec(), cine.period_s(), displacement_mm, confidence))
 }
 
 /// For each point those within a distance, itself among them.
@@ -168,11 +197,21 @@ fn agreement(beside: &[Option<(Vector3<f64>, f64)>], neighbours: &[Vec<usize>], 
 #[cfg(test)]
 mod tests {
     use super::super::fixtures::{image, waves};
-    use super::super::match_base;
+    use super::super::{BlockShape, Similarity, match_base};
     use super::*;
     use crate::mesh::{TaggedSurface, TetMesh};
 
     const HALF_MM: f64 = 34.0;
+    const EVERY: BlockMatchingSettings = BlockMatchingSettings {
+        similarity: Similarity::Ssd,
+        voxel_mm: 1.5,
+        block_radius_voxels: 4,
+        levels: 3,
+        range_mm: 6.0,
+        variance_share: 1.0,
+        trimmed_share: 1.0,
+        shape: BlockShape::Carried,
+    };
 
     /// Points of a lattice of 4 mm within 16 mm, those within 10 mm of the middle first.
     fn lattice() -> (Vec<Vector3<f64>>, usize) {
@@ -192,9 +231,21 @@ mod tests {
         CineSequence::new(frames, vec![0.0, 0.4], 0.8).unwrap()
     }
 
-    fn rms_mm(matches: &BaseMatches, truth: impl Fn(usize) -> Vector3<f64>) -> f64 {
-        let errors: Vec<f64> = matches.displacement_mm()[1].iter().enumerate().map(|(place, d)| (d - truth(place)).norm()).collect();
+    /// RMS distance from the truth of where blocks around some places are found in the second frame.
+    fn rms_mm(found: &[Vector3<f64>], truth: impl Fn(usize) -> Vector3<f64>) -> f64 {
+        let errors: Vec<f64> = found.iter().enumerate().map(|(place, d)| (d - truth(place)).norm()).collect();
         crate::numerics::root_mean_square(&errors)
+    }
+
+    fn carried(
+        cine: &CineSequence,
+        rest: &[Vector3<f64>],
+        now: &[Vector3<f64>],
+        count: usize,
+        plane: Option<BasePlane>,
+    ) -> Vec<Vector3<f64>> {
+        let carrier = Carrier::new(rest, (0..count).collect(), EVERY.deformation_reach_mm());
+        CarriedBlocks::new(cine, 0, carrier.centres_mm(), (plane, None), EVERY).unwrap().find(1, &carrier.carry(now)).0
     }
 
     /// Tissue that turns by 35° and thickens by a quarter is lost to blocks as they were; blocks that a motion 1.5 mm beside the truth
@@ -208,12 +259,9 @@ mod tests {
         let (rest, count) = lattice();
         let beside = Vector3::new(1.0, -0.8, 0.8);
         let expected: Vec<Vector3<f64>> = rest.iter().map(|x| gradient * x + beside).collect();
-        let settings = BlockMatchingSettings { variance_share: 1.0, trimmed_share: 1.0, ..BlockMatchingSettings::default() };
-        let motion = CarriedMotion::new(&rest, &[&rest, &expected], (0..count).collect(), settings.deformation_reach_mm());
-        let carried = match_carried(&cine, 0, &motion, None, &settings).unwrap();
         let truth = |place: usize| gradient * rest[place] - rest[place];
-        let stiff = match_base(&cine, 0, &(0..count).collect::<Vec<_>>(), &rest, &settings).unwrap();
-        let (with, without) = (rms_mm(&carried, truth), rms_mm(&stiff, truth));
+        let stiff = match_base(&cine, 0, &(0..count).collect::<Vec<_>>(), &rest, &EVERY).unwrap();
+        let (with, without) = (rms_mm(&carried(&cine, &rest, &expected, count, None), truth), rms_mm(&stiff.displacement_mm()[1], truth));
         assert!(with < 0.4 && without > 1.0, "{with} mm carried, {without} mm stiff");
     }
 
@@ -227,14 +275,12 @@ mod tests {
             .map(|n| f64::from(n) * std::f64::consts::FRAC_PI_8)
             .map(|a| Vector3::new(10.0 * a.cos(), 10.0 * a.sin(), 0.0))
             .collect();
-        let settings = BlockMatchingSettings { variance_share: 1.0, trimmed_share: 1.0, ..BlockMatchingSettings::default() };
-        let motion = CarriedMotion::new(&ring, &[&ring, &ring], (0..16).collect(), settings.deformation_reach_mm());
         let mesh = TetMesh::new(vec![Vector3::zeros(), Vector3::y(), Vector3::x(), -Vector3::z()], vec![[0, 1, 2, 3]]).unwrap();
         let tags =
             mesh.boundary_triangles().iter().map(|t| if t.contains(&3) { SurfaceTag::Epicardium } else { SurfaceTag::Base }).collect();
         let plane = BasePlane::of(&TaggedSurface::new(&mesh, tags).unwrap(), mesh.vertices_mm()).unwrap();
-        let error = |plane| rms_mm(&match_carried(&cine, 0, &motion, plane, &settings).unwrap(), |_| Vector3::z() * 2.2);
-        let (cut, whole) = (error(Some(&plane)), error(None));
+        let error = |plane| rms_mm(&carried(&cine, &ring, &ring, 16, plane), |_| Vector3::z() * 2.2);
+        let (cut, whole) = (error(Some(plane)), error(None));
         assert!(cut < 0.375 && whole > 2.0 * cut, "{cut} mm cut, {whole} mm whole");
     }
 }

@@ -8,7 +8,7 @@
 //! | `scheme` | the image force of one vertex: explicit, published, exact, variational |
 //! | `image_force` | all surfaces as one load on the step system |
 //! | `block_matching`, `blocks`, `pyramid` | the motion of the base from blocks of voxels |
-//! | `carried_blocks` | the same from blocks that deform with the tissue |
+//! | `carried_blocks`, `tissue_mask`, `proactive_blocks` | the same from blocks that deform with the tissue, and while the heart is tracked |
 //! | `base_force`, `wall_force` | the base and the inside of the wall drawn along a known motion |
 //! | `force_tangents` | the derivatives of both, for tangents of tracked hearts |
 //! | `tracker`, `residuals` | one beat under these loads, and what the images say of it |
@@ -27,20 +27,21 @@ mod fixtures;
 mod force_tangents;
 mod image_force;
 mod instant;
+mod proactive_blocks;
 mod pyramid;
 mod residuals;
 mod scheme;
 mod section;
 mod thickness;
+mod tissue_mask;
 mod tracker;
 mod wall_force;
 
 pub use agreement::{CavityAgreement, SliceAgreement};
 pub use appearance::{AppearanceSettings, SurfaceAppearance};
 pub use base_force::{BaseForce, BaseMatches, BaseMode, BaseProjection};
-pub use block_matching::{BlockMatchingSettings, Similarity, match_base};
+pub use block_matching::{BlockMatchingSettings, BlockShape, Similarity, match_base};
 pub use boundary::{BoundarySearch, BoundarySettings, BoundaryTarget, SurfaceTargets};
-pub use carried_blocks::{BasePlane, CarriedMotion, match_carried};
 pub use error::TrackingError;
 pub use image_force::{ImageForce, SurfaceGain};
 pub use instant::{ImageInstant, SliceResolution};

@@ -7,11 +7,13 @@ use nalgebra::Vector3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::carried_blocks::{BasePlane, CarriedBlocks, Carrier};
+use super::proactive_blocks::{Drawn, ProactiveBlocks};
 use super::residuals::{TrackedFrame, frame_warnings};
+use super::tissue_mask::TissueMask;
 use super::{
-    AppearanceSettings, BaseForce, BaseMatches, BaseMode, BasePlane, BaseProjection, BlockMatchingSettings, BoundarySearch,
-    BoundarySettings, CarriedMotion, ForceScheme, ImageForce, ImageInstant, SurfaceAppearance, SurfaceGain, TrackingError, WallForce,
-    WallSettings, match_base, match_carried,
+    AppearanceSettings, BaseForce, BaseMatches, BaseMode, BaseProjection, BlockMatchingSettings, BlockShape, BoundarySearch,
+    BoundarySettings, ForceScheme, ImageForce, ImageInstant, SurfaceAppearance, SurfaceGain, TrackingError, WallSettings, match_base,
 };
 use crate::circulation::Phase;
 use crate::heart::{CurveRow, HeartModel, HeartState, Parameter, SimulationPlan, Trajectory, simulate};
@@ -40,15 +42,6 @@ pub struct TrackerSettings {
     pub held_out_share: f64,
     /// Seed of the choice of held-out vertices.
     pub held_out_seed: u64,
-}
-
-impl TrackerSettings {
-    /// How often the beat is tracked: block matches are refined with the motion of the time before.
-    pub fn rounds(&self) -> usize {
-        let base = if let BaseMode::BlockMatching(blocks) = &self.base { blocks.rounds } else { 1 };
-        let wall = self.wall.map_or(1, |wall| wall.blocks.rounds.max(2));
-        base.max(wall)
-    }
 }
 
 impl Default for TrackerSettings {
@@ -95,8 +88,7 @@ pub struct TrackedMotion {
     pub warnings: Vec<String>,
 }
 
-/// Tracks the heart through one period of a cine sequence. `observer` sees the start and every step and may stop; where blocks are matched
-/// in several rounds it sees every round from the start again.
+/// Tracks the heart through one period of a cine sequence. `observer` sees the start and every step and may stop.
 ///
 /// The mesh of the model must be that of the reference frame. Base modes `Free` and `BlockMatching` set the model's base springs to
 /// zero; `Recorded` moves their anchors.
@@ -120,45 +112,49 @@ pub fn track(
     let surfaces = learn_surfaces(model, cine, start_s, settings, &mut warnings)?;
     let held_out = hold_out(&surfaces, anatomy.mesh.vertex_count(), settings);
     let image_force = ImageForce::new(cine, &anatomy.surface, surfaces, settings.scheme, held_out)?;
-    let mut matches = [matched_base(model, cine, settings)?, None];
-    let (mut trajectory, mut work) = run(model, cine, settings, &image_force, &matches, observer)?;
-    for _ in 1..settings.rounds() {
-        if trajectory.stopped {
-            break;
-        }
-        matches = carried_matches(model, cine, settings, &trajectory)?;
-        (trajectory, work) = run(model, cine, settings, &image_force, &matches, observer)?;
-    }
+    let (trajectory, base, work) = run(model, cine, settings, &image_force, observer)?;
     let seen = trajectory.frames.iter().zip(frame_order(cine, settings.reference_frame));
     let frames: Vec<TrackedFrame> = seen.map(|(state, frame)| TrackedFrame::new(&image_force, state, frame)).collect();
     warnings.extend(frame_warnings(&frames)?);
-    let [base, _] = matches;
     Ok(TrackedMotion { trajectory, frames, base, work, warnings })
 }
 
-/// One beat under the loads of the images and of the matches of base and wall, and the work that image forces do in it.
+/// One beat under the loads of the images, the base motion that was matched, and the work that image forces do in it.
 fn run(
     model: &HeartModel,
     cine: &CineSequence,
     settings: &TrackerSettings,
     image_force: &ImageForce,
-    [base, wall]: &[Option<BaseMatches>; 2],
     observer: &mut dyn FnMut(&HeartState, &CurveRow) -> ControlFlow<()>,
-) -> Result<(Trajectory, Vec<PhaseWork>), TrackingError> {
-    let (anatomy, gain) = (model.anatomy(), model.parameters()[Parameter::ImageGainBase]);
-    let on_base = |matches| BaseForce::new(&anatomy.surface, matches, anatomy.mesh.vertices_mm(), settings.base_projection, gain);
-    let on_wall = |(matches, settings): (_, &WallSettings)| WallForce::new(&anatomy.mesh, matches, settings.gain_kpa_per_mm2);
-    let base_force = base.as_ref().map(on_base).transpose()?;
-    let wall_force = wall.as_ref().zip(settings.wall.as_ref()).map(on_wall).transpose()?;
+) -> Result<(Trajectory, Option<BaseMatches>, Vec<PhaseWork>), TrackingError> {
+    let (anatomy, gain_kpa_per_mm) = (model.anatomy(), model.parameters()[Parameter::ImageGainBase]);
+    let (mesh, projection) = (&anatomy.mesh, settings.base_projection);
+    let still = still_base(model, cine, settings)?;
+    let still_force =
+        still.as_ref().map(|matches| BaseForce::new(&anatomy.surface, matches, mesh.vertices_mm(), projection, gain_kpa_per_mm));
+    let still_force = still_force.transpose()?;
+    let carried_base = match &settings.base {
+        BaseMode::BlockMatching(blocks) if blocks.shape == BlockShape::Carried => {
+            let vertices = anatomy.surface.vertices_with(SurfaceTag::Base);
+            Some(proactive_blocks(model, cine, settings, (vertices, blocks), Drawn::Base { projection, gain_kpa_per_mm })?)
+        }
+        _ => None,
+    };
+    let on_wall = |wall: &WallSettings| {
+        let drawn = Drawn::Wall { gain_kpa_per_mm2: wall.gain_kpa_per_mm2 };
+        proactive_blocks(model, cine, settings, ((0..mesh.vertex_count()).collect(), &wall.blocks), drawn)
+    };
+    let carried_wall = settings.wall.as_ref().map(on_wall).transpose()?;
     let mut loads: Vec<&dyn StepLoad> = vec![image_force];
-    loads.extend(base_force.as_ref().map(|force| force as &dyn StepLoad));
-    loads.extend(wall_force.as_ref().map(|force| force as &dyn StepLoad));
-    let mut ledger = WorkLedger::new(anatomy.mesh.vertex_count());
+    loads.extend(still_force.as_ref().map(|force| force as &dyn StepLoad));
+    loads.extend(carried_base.iter().chain(&carried_wall).map(|force| force as &dyn StepLoad));
+    let mut ledger = WorkLedger::new(mesh.vertex_count());
     let trajectory = simulate(model, &plan_of(cine, settings.reference_frame), &loads, &mut |state, row| {
         ledger.book(image_force, state, row);
         observer(state, row)
     })?;
-    Ok((trajectory, ledger.entries()))
+    let base = still.or(carried_base.map(ProactiveBlocks::into_matches));
+    Ok((trajectory, base, ledger.entries()))
 }
 
 /// The frames of the cine in the order of a trajectory: the reference frame first, and again last.
@@ -167,29 +163,32 @@ fn frame_order(cine: &CineSequence, reference_frame: usize) -> impl Iterator<Ite
     (0..=count).map(move |n| (reference_frame + n) % count)
 }
 
-/// The matches of the base and of the wall, as the settings want them, of blocks that a tracked motion carries.
-fn carried_matches(
-    model: &HeartModel,
-    cine: &CineSequence,
-    settings: &TrackerSettings,
-    trajectory: &Trajectory,
-) -> Result<[Option<BaseMatches>; 2], TrackingError> {
-    let (mesh, surface) = (&model.anatomy().mesh, &model.anatomy().surface);
-    let mut frames_mm: Vec<&[Vector3<f64>]> = vec![mesh.vertices_mm(); cine.frames().len()];
-    for (state, frame) in trajectory.frames.iter().zip(frame_order(cine, settings.reference_frame)).take(cine.frames().len()) {
-        frames_mm[frame] = &state.position_mm;
+/// The matches of the base that are made before the heart is tracked, where they are.
+fn still_base(model: &HeartModel, cine: &CineSequence, settings: &TrackerSettings) -> Result<Option<BaseMatches>, TrackingError> {
+    let BaseMode::BlockMatching(matching) = &settings.base else { return Ok(None) };
+    if matching.shape == BlockShape::Carried {
+        return Ok(None);
     }
-    let plane = BasePlane::of(surface, mesh.vertices_mm());
-    let carried = |vertices: Vec<usize>, blocks: &BlockMatchingSettings| {
-        let motion = CarriedMotion::new(mesh.vertices_mm(), &frames_mm, vertices, blocks.deformation_reach_mm());
-        match_carried(cine, settings.reference_frame, &motion, plane.as_ref(), blocks)
-    };
-    let base = match &settings.base {
-        BaseMode::BlockMatching(blocks) => Some(carried(surface.vertices_with(SurfaceTag::Base), blocks)?),
-        _ => None,
-    };
-    let wall = settings.wall.as_ref().map(|wall| carried((0..mesh.vertex_count()).collect(), &wall.blocks)).transpose()?;
-    Ok([base, wall])
+    let anatomy = model.anatomy();
+    let vertices = anatomy.surface.vertices_with(SurfaceTag::Base);
+    match_base(cine, settings.reference_frame, &vertices, anatomy.mesh.vertices_mm(), matching).map(Some)
+}
+
+/// The load of blocks around some vertices that are matched on the way.
+fn proactive_blocks<'a>(
+    model: &'a HeartModel,
+    cine: &'a CineSequence,
+    settings: &TrackerSettings,
+    (vertices, blocks): (Vec<usize>, &BlockMatchingSettings),
+    drawn: Drawn,
+) -> Result<ProactiveBlocks<'a>, TrackingError> {
+    let (mesh, surface) = (&model.anatomy().mesh, &model.anatomy().surface);
+    let carrier = Carrier::new(mesh.vertices_mm(), vertices, blocks.deformation_reach_mm());
+    let tissue = (BasePlane::of(surface, mesh.vertices_mm()), Some(TissueMask::around(mesh, blocks.voxel_mm)));
+    let matched = CarriedBlocks::new(cine, settings.reference_frame, carrier.centres_mm(), tissue, *blocks)?;
+    let times_s = plan_of(cine, settings.reference_frame).frame_times_s;
+    let frames = times_s.into_iter().zip(frame_order(cine, settings.reference_frame)).take(cine.frames().len()).collect();
+    ProactiveBlocks::new((mesh, surface), carrier, matched, drawn, frames, (cine.times_s(), cine.period_s()))
 }
 
 /// The gain parameter of a surface.
@@ -273,13 +272,6 @@ fn hold_out(surfaces: &[SurfaceGain], vertex_count: usize, settings: &TrackerSet
         held_out[*vertex] = random.random::<f64>() < settings.held_out_share;
     }
     held_out
-}
-
-fn matched_base(model: &HeartModel, cine: &CineSequence, settings: &TrackerSettings) -> Result<Option<BaseMatches>, TrackingError> {
-    let BaseMode::BlockMatching(matching) = &settings.base else { return Ok(None) };
-    let anatomy = model.anatomy();
-    let vertices = anatomy.surface.vertices_with(SurfaceTag::Base);
-    match_base(cine, settings.reference_frame, &vertices, anatomy.mesh.vertices_mm(), matching).map(Some)
 }
 
 /// Adds up the work of the image forces while the heart beats.

@@ -10,6 +10,7 @@ mod ranking;
 mod strains;
 mod style;
 mod surface;
+mod sweep;
 
 pub use chart::{Curve, Look};
 pub use convergence::{Convergence, SolverCurve, convergence};
@@ -22,3 +23,4 @@ pub use parameters::{ParameterInterval, parameter_intervals};
 pub use ranking::{Bar, ranking};
 pub use strains::{StrainCurves, StrainPanel, strain_curves};
 pub use surface::{SurfaceMap, SurfaceView, surface_map};
+pub use sweep::{Sweep, SweepCell, sweep};

@@ -51,7 +51,7 @@ impl AnatomySource {
     }
 }
 
-/// `[anatomy.idealised_lv]`: the wall between two truncated ellipsoids of revolution with one centre; lengths are semi-axes.
+/// `[anatomy.idealised_lv]`: the wall between two truncated ellipsoids; lengths are semi-axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IdealisedLv {
     /// `cavity_radius_mm`: short semi-axis of the cavity.
@@ -64,6 +64,10 @@ pub struct IdealisedLv {
     pub apex_thickness_mm: f64,
     /// `base_height_mm`: height of the base above the centre.
     pub base_height_mm: f64,
+    /// `cross_section_ratio`: long over short axis of the cavity's cross-section.
+    pub cross_section_ratio: f64,
+    /// `epicardium_offset_mm`: how far the epicardium lies off the cavity's axis.
+    pub epicardium_offset_mm: f64,
     /// `reference_time_s`: the time of the beat at which the shape holds, s after the trigger.
     pub reference_time_s: f64,
 }
@@ -148,10 +152,16 @@ fn read_idealised(table: TableReader) -> IdealisedLv {
         wall_thickness_mm: table.number("wall_thickness_mm", 1.0..=50.0, 10.0),
         apex_thickness_mm: table.number("apex_thickness_mm", 1.0..=50.0, 8.0),
         base_height_mm: table.number("base_height_mm", 0.0..=150.0, 20.0),
+        cross_section_ratio: table.number("cross_section_ratio", 0.5..=2.0, 1.0),
+        epicardium_offset_mm: table.number("epicardium_offset_mm", -40.0..=40.0, 0.0),
         reference_time_s: table.number("reference_time_s", -2.5..=2.5, -0.02),
     };
     if plan.base_height_mm >= plan.cavity_length_mm {
         table.problem("base_height_mm", "lies beyond the cavity", format!("choose less than cavity_length_mm, {}", plan.cavity_length_mm));
+    }
+    let thinnest_mm = 0.8 * plan.wall_thickness_mm;
+    if plan.epicardium_offset_mm.abs() > thinnest_mm {
+        table.problem("epicardium_offset_mm", "leaves no wall on one side", format!("choose at most {thinnest_mm} either way"));
     }
     table.close();
     plan

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use super::words;
 use crate::heart::{Parameters, RegionalParameter, Section};
 use crate::study::reader::{Choice, TableReader};
-use crate::tracking::{BaseProjection, BlockMatchingSettings, BoundarySettings, ForceScheme, Similarity};
+use crate::tracking::{BaseProjection, BlockMatchingSettings, BlockShape, BoundarySettings, ForceScheme, Similarity};
 
 impl Choice for ForceScheme {
     const WORDS: &'static [(&'static str, Self)] =
@@ -15,6 +15,10 @@ impl Choice for ForceScheme {
 
 impl Choice for Similarity {
     const WORDS: &'static [(&'static str, Self)] = &[("ssd", Self::Ssd), ("ncc", Self::Ncc)];
+}
+
+impl Choice for BlockShape {
+    const WORDS: &'static [(&'static str, Self)] = &[("still", Self::Still), ("carried", Self::Carried)];
 }
 
 impl Choice for BaseProjection {
@@ -90,8 +94,8 @@ pub struct TrackingPlan {
     pub block_size_mm: f64,
     /// `block_range_mm`: how far around the current position a block is searched.
     pub block_range_mm: f64,
-    /// `block_rounds`: how often blocks are matched, from the second time on carried and deformed by the tracked motion.
-    pub block_rounds: usize,
+    /// `block_shape`.
+    pub block_shape: BlockShape,
     /// `wall`.
     pub wall: WallMode,
     /// `wall_gain_kpa_per_mm2`: per volume, for `wall = "block_matching"`.
@@ -117,7 +121,7 @@ pub(super) fn read(table: TableReader, parameters: &mut Parameters, written: &mu
         similarity: table.choice("similarity", Similarity::default()),
         block_size_mm: table.number("block_size_mm", 2.0..=60.0, block_size_mm),
         block_range_mm: table.number("block_range_mm", 1.0..=40.0, blocks.range_mm),
-        block_rounds: table.count("block_rounds", 1..=10, blocks.rounds as i64),
+        block_shape: table.choice("block_shape", blocks.shape),
         wall: table.choice("wall", WallMode::Model),
         wall_gain_kpa_per_mm2: table.number("wall_gain_kpa_per_mm2", 0.0..=1e4, 1.0),
     };

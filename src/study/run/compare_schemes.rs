@@ -14,15 +14,16 @@ use super::page::{Account, leave_page, table_section};
 use super::patient::{Patient, PatientImages};
 use super::synthetic::Truth;
 use super::track::tracker_settings;
-use crate::heart::{FrameState, HeartState};
+use crate::heart::{FrameState, HeartState, Parameter};
 use crate::mesh::SurfaceTag;
 use crate::numerics::root_mean_square;
-use crate::report::figures::{Curve, Look, TimeCurves, time_curves};
+use crate::report::figures::{Curve, Look, Sweep, SweepCell, TimeCurves, sweep, time_curves};
 use crate::report::html::{Block, Plot, Section, Table};
 use crate::report::{write_csv, write_json};
 use crate::study::plan::ModelPlan;
 use crate::study::{Kind, Outcome, Plan, Provenance, RunContext, Status};
 use crate::tracking::{ForceScheme, TrackedMotion, TrackerSettings, track};
+use crate::units::MS_PER_S;
 
 /// One way to track the beat.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -167,6 +168,7 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let figures = figures(as_written);
     if plan.output.figures {
         figures.iter().try_for_each(|(file, figure)| time_curves(&folder.join(file), figure))?;
+        sweep(&folder.join("sweep.png"), &sweep_figure(&tried, &patient))?;
     }
     let schemes: Vec<CaseRow> = as_written.iter().map(|one| one.row.clone()).collect();
     let status = if context.is_stopped() { Status::Stopped } else { Status::Converged };
@@ -380,6 +382,37 @@ fn figures(as_written: &[Tried]) -> Vec<(&'static str, TimeCurves)> {
     ];
     let figures = figures.into_iter().filter(|(file, .., curves)| *file != "speed_rv.png" || !curves.is_empty());
     figures.map(|(file, title, quantity, curves)| (file, TimeCurves { title, quantity: quantity.into(), curves })).collect()
+}
+
+/// Every scheme over steps and gains: how near it comes, or when it breaks.
+fn sweep_figure(tried: &[Tried], patient: &Patient) -> Sweep {
+    let sorted = |value: fn(&CaseRow) -> f64| {
+        let mut values: Vec<f64> = tried.iter().filter(|one| one.row.scheme != Scheme::Without).map(|one| value(&one.row)).collect();
+        values.sort_by(f64::total_cmp);
+        values.dedup();
+        values
+    };
+    let (steps_s, factors) = (sorted(|row| row.step_s), sorted(|row| row.gain_factor));
+    let cell = |scheme: Scheme, gain_factor: f64, step_s: f64| {
+        let found = tried.iter().map(|one| &one.row).find(|row| (row.scheme, row.gain_factor, row.step_s) == (scheme, gain_factor, step_s));
+        match found.map(|row| (row.rmse_mean_mm, row.broke_after_s)) {
+            Some((Some(rmse_mm), _)) => SweepCell::Result(rmse_mm),
+            Some((None, Some(after_s))) => SweepCell::BrokeAfterMs(after_s * MS_PER_S),
+            _ => SweepCell::Untried,
+        }
+    };
+    let cells = |scheme| {
+        factors.iter().flat_map(|&factor| steps_s.iter().map(move |&step_s| (factor, step_s))).map(move |(f, s)| cell(scheme, f, s))
+    };
+    let gain_kpa_per_mm = patient.parameters[Parameter::ImageGainEndocardiumLv];
+    Sweep {
+        title: "Mean distance from the truth (mm) over steps and gains".into(),
+        column_quantity: "step (ms)".into(),
+        row_quantity: "gain (kPa/mm)".into(),
+        columns: steps_s.iter().map(|step_s| format!("{}", (step_s * MS_PER_S * 1e3).round() / 1e3)).collect(),
+        rows: factors.iter().map(|factor| format!("{}", (factor * gain_kpa_per_mm * 1e3).round() / 1e3)).collect(),
+        grids: SCHEMES[1..].iter().map(|&scheme| (scheme.name().to_string(), cells(scheme).collect())).collect(),
+    }
 }
 
 fn leave_report(plan: &Plan, tried: &[Tried], figures: &[(&str, TimeCurves)], account: Account<Summary>) -> Result<(), RunError> {

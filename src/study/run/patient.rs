@@ -214,6 +214,8 @@ pub(super) fn idealised_shape(shape: &IdealisedLv) -> crate::phantom::IdealisedL
         base_height_mm: shape.base_height_mm,
         wall_thickness_mm: shape.wall_thickness_mm,
         apex_thickness_mm: shape.apex_thickness_mm,
+        cross_section_ratio: shape.cross_section_ratio,
+        epicardium_offset_mm: shape.epicardium_offset_mm,
         ..crate::phantom::IdealisedLv::default()
     }
 }

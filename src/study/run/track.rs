@@ -43,7 +43,7 @@ pub(super) fn track_patient(
     let settings = tracker_settings(plan, patient, images)?;
     let trial = Trial { images, settings: &settings, context };
     let (model, gain_choices) = choose_gains(model, plan.tracking.gains, plan.tracking.noise_mm, &trial)?;
-    context.progress().stage("tracking the images", Some(steps(plan, patient, &settings)));
+    context.progress().stage("tracking the images", Some(step_count(&patient.clock(1), plan.model.step_s)));
     let motion = motion_until_stopped(&model, images, &settings, context)?;
     for warning in &motion.warnings {
         context.progress().warning(warning);
@@ -67,13 +67,9 @@ pub(super) fn track_again(
     }
     let model = heart_model(&plan.model, &patient.anatomy, scaled_gains(&parameters, factor)?)?;
     let settings = tracker_settings(plan, patient, images)?;
-    context.progress().stage("tracking the images with the heart that was found", Some(steps(plan, patient, &settings)));
+    context.progress().stage("tracking the images with the heart that was found", Some(step_count(&patient.clock(1), plan.model.step_s)));
     let motion = tracked_beat(&model, images, &settings, context)?;
     Ok(Tracked { motion, parameters: model.parameters().clone(), gain_choices: Vec::new() })
-}
-
-fn steps(plan: &Plan, patient: &Patient, settings: &TrackerSettings) -> u64 {
-    step_count(&patient.clock(1), plan.model.step_s) * settings.rounds() as u64
 }
 
 /// The whole tracked beat.
@@ -124,7 +120,7 @@ pub(super) fn tracker_settings(plan: &Plan, patient: &Patient, images: &PatientI
         similarity: plan.similarity,
         range_mm: plan.block_range_mm,
         block_radius_voxels,
-        rounds: plan.block_rounds,
+        shape: plan.block_shape,
         ..blocks
     };
     let base = match plan.base {
