@@ -74,7 +74,13 @@ pub fn sweep(file: &Path, figure: &Sweep) -> Result<(), ReportError> {
                 let x = ipx(left + CELL.0 * column as u32 + CELL.0 / 2);
                 write(area, words, &text(TEXT - 4, &GREY_INK), HPos::Center, (x, ipx(bottom + 22)))?;
             }
-            write(area, &figure.column_quantity, &text(TEXT - 4, &GREY_INK), HPos::Center, (ipx(left + CELL.0 * columns / 2), ipx(bottom + 56)))?;
+            write(
+                area,
+                &figure.column_quantity,
+                &text(TEXT - 4, &GREY_INK),
+                HPos::Center,
+                (ipx(left + CELL.0 * columns / 2), ipx(bottom + 56)),
+            )?;
             for (number, cell) in cells.iter().enumerate() {
                 let (column, row) = (number as u32 % columns, number as u32 / columns);
                 draw_cell(area, (ipx(left + CELL.0 * column), ipx(HEAD + CELL.1 * row)), *cell, (low, high))?;
