@@ -94,7 +94,7 @@ fn a_left_ventricle_is_fitted_to_a_table_to_labels_and_to_its_images() {
             measured_ml.iter().zip(&truth_ml).all(|(a, b)| (a - b).abs() < share * largest(&truth_ml)),
             "{name}: {measured_ml:?} {truth_ml:?}"
         );
-        assert!(warns(&summary, "measured volumes of the Left ventricle were multiplied by"), "{name}: {}", summary["warnings"]);
+        assert!(warns(&summary, "measured volumes of the left ventricle were multiplied by"), "{name}: {}", summary["warnings"]);
         let [before_ml, after_ml] = ["volume_rms_initial_ml", "volume_rms_ml"].map(|key| number(&summary, key));
         assert!(after_ml < 0.5 * before_ml, "{name}: {before_ml} → {after_ml} mL");
         let peak_kpa = found(&folder.join(name), "contraction_peak_lv_kpa");
@@ -118,7 +118,7 @@ fn both_ventricles_are_fitted_to_their_volumes() {
         parameter("contraction_peak_rv_kpa")
     );
     let summary = run(folder, "both", &text);
-    for side in ["Left", "Right"] {
+    for side in ["left", "right"] {
         assert!(warns(&summary, &format!("measured volumes of the {side} ventricle")), "{}", summary["warnings"]);
     }
     for side in ["", "rv_"] {
