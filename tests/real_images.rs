@@ -10,7 +10,8 @@
 use std::path::{Path, PathBuf};
 
 use cardiotwin::image::{
-    CineReading, CineTiming, VolumeCurve, follow_cavity, read_cine, read_dicom_folder, read_label_map, read_label_maps,
+    CineReading, CineSequence, CineTiming, VolumeCurve, cine_warnings, follow_cavity, read_cine, read_dicom_folder, read_label_map,
+    read_label_maps,
 };
 use nalgebra::Vector3;
 
@@ -56,6 +57,24 @@ fn dicom_and_nifti_of_one_patient_are_the_same_image_in_the_world() {
 fn cine(folder: &Path) -> CineReading {
     let timing = CineTiming::from_sidecar(&folder.join("meta.json")).unwrap();
     read_cine(&folder.join("cine_sax_crop.nii.gz"), &timing).unwrap()
+}
+
+/// No frame of either heart is said to be out of order, and frames that were exchanged are named, near ones and far ones.
+#[test]
+fn exchanged_frames_are_named_and_none_of_a_heart_in_order() {
+    for name in ["sunnybrook_SCD0000201", "sri_E774"] {
+        let Some(folder) = data(name) else { return };
+        let cine = cine(&folder).cine;
+        let out_of_order = |cine: &CineSequence| cine_warnings(cine).into_iter().filter(|w| w.contains("out of order")).collect::<Vec<_>>();
+        assert_eq!(out_of_order(&cine), Vec::<String>::new());
+        for (one, other) in [(5, 7), (3, 4), (0, 19), (2, 13), (12, 17)] {
+            let mut frames = cine.frames().to_vec();
+            frames.swap(one, other);
+            let exchanged = CineSequence::new(frames, cine.times_s().to_vec(), cine.period_s()).unwrap();
+            let warnings = out_of_order(&exchanged);
+            assert!(warnings.iter().any(|w| w.starts_with(&format!("frames {one} and {other} "))), "{name}: {warnings:?}");
+        }
+    }
 }
 
 /// The expert drew end-diastole, from which the images are followed, and independently end-systole.

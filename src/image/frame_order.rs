@@ -9,9 +9,9 @@ use super::timing::median;
 const ODD: f64 = 1.15;
 
 /// Two frames were exchanged if their squared differences from their neighbours add up to this many times what they would the other way round.
-/// Of the sequences at hand in order none exceeds 0.7 (1.004 where frames of a phantom at rest differ by noise alone), and every exchange exceeds 1.3 unless
-/// both frames show the same phase.
-const EXCHANGED: f64 = 1.1;
+/// Of the sequences at hand in order none exceeds 0.7 (1.004 where frames of a phantom at rest differ by noise alone, 1.2 beside a corrupt frame),
+/// and every exchange exceeds 1.3 unless both frames show the same phase.
+const EXCHANGED: f64 = 1.25;
 
 /// About as many differences of voxels are taken.
 const COMPARISONS: usize = 100_000_000;
@@ -31,10 +31,8 @@ pub(super) fn frame_warnings(cine: &CineSequence) -> Vec<String> {
         least > usual && least > ODD * squared.of(frame + count - 1, frame + 1).sqrt()
     };
     let words = |frame| format!("frame {frame} resembles neither of its neighbours, which resemble each other: corrupt, or out of order?");
-    let odd: Vec<usize> = (0..count).filter(is_odd).collect();
-    let mut warnings: Vec<String> = odd.iter().map(words).collect();
-    // A frame that is odd by itself is corrupt, and would gain beside any neighbour.
-    if let Some([one, other]) = squared.exchanged().filter(|pair| odd.contains(&pair[0]) == odd.contains(&pair[1])) {
+    let mut warnings: Vec<String> = (0..count).filter(is_odd).map(words).collect();
+    if let Some([one, other]) = squared.exchanged() {
         warnings
             .push(format!("frames {one} and {other} resemble each other's neighbours more than their own: exchanged, or out of order?"));
     }
