@@ -15,6 +15,9 @@ use crate::numerics::{
 /// Writes the products of the system's matrix with the listed columns of the first fields to those of the second.
 pub(super) type Product<'a> = dyn Fn(&[usize], &[Vec<Vector3<f64>>], &mut [Vec<Vector3<f64>>]) + 'a;
 
+/// Solves to this tolerance or a looser one are preconditioned in 16 bits an entry; closer ones would take more iterations for it.
+const ROUNDED_TOLERANCE: f64 = 1e-6;
+
 /// Which way a system was solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SolvePath {
@@ -358,7 +361,8 @@ impl StepSolver {
         let limits = KrylovLimits { relative_tolerance, iteration_limit: self.settings.iteration_limit };
         let Self { direct, single, compact, preconditioner, .. } = self;
         let preconditioner = preconditioner.as_ref();
-        let factors = (preconditioner.and_then(Preconditioner::compact), preconditioner.and_then(Preconditioner::factor));
+        let rounded = preconditioner.and_then(Preconditioner::compact).filter(|_| relative_tolerance >= ROUNDED_TOLERANCE);
+        let factors = (rounded, preconditioner.and_then(Preconditioner::factor));
         let mut precondition = |columns: &mut [Vec<Vector3<f64>>]| match factors {
             (Some(factor), _) => factor.solve_in_place(columns, compact),
             (None, Some(factor)) => factor.solve_in_place(columns, single),
