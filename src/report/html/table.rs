@@ -5,6 +5,7 @@ use std::fmt::Write;
 use serde::Serialize;
 
 use super::escape::escaped;
+use super::heading::heading;
 use super::number::readable;
 
 /// A table.
@@ -19,14 +20,14 @@ pub struct Table {
 }
 
 impl Table {
-    /// The rows under the names of their fields, numbers readable; columns that are empty in every row are left out.
+    /// The rows under the names of their fields in words, numbers readable; columns that are empty in every row are left out.
     pub fn of_rows<R: Serialize>(caption: impl Into<String>, rows: &[R]) -> Self {
         let mut writer = csv::Writer::from_writer(Vec::new());
         let is_written = rows.iter().all(|row| writer.serialize(row).is_ok());
         let bytes = if is_written { writer.into_inner().unwrap_or_default() } else { Vec::new() };
         let mut reader = csv::ReaderBuilder::new().has_headers(false).from_reader(bytes.as_slice());
         let mut records = reader.records().filter_map(Result::ok);
-        let columns: Vec<String> = records.next().iter().flatten().map(str::to_owned).collect();
+        let columns: Vec<String> = records.next().iter().flatten().map(heading).collect();
         let rows = records.map(|record| record.iter().map(cell).collect()).collect();
         Self { caption: caption.into(), columns, rows }.without_empty_columns()
     }
@@ -116,7 +117,7 @@ mod tests {
     fn rows_become_cells_and_empty_columns_go() {
         let rows = [Row { name: "a<b", value: 0.123_456, empty: None }, Row { name: "c", value: 2.0, empty: None }];
         let table = Table::of_rows("two rows", &rows);
-        assert_eq!(table.columns, ["name", "value"]);
+        assert_eq!(table.columns, ["Name", "Value"]);
         assert_eq!(table.rows, [["a<b", "0.1235"], ["c", "2"]]);
         let record = Table::of_record("one", &rows[0]);
         assert_eq!(record.rows, [["name", "a<b"], ["value", "0.1235"]]);

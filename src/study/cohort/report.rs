@@ -7,7 +7,7 @@ use std::path::Path;
 use super::CohortPatient;
 use super::table::PatientTable;
 use crate::report::figures::Bar;
-use crate::report::html::{Bars, Block, Page, Section, Table, write_page};
+use crate::report::html::{Bars, Block, Page, Section, Table, heading, write_page};
 use crate::report::{LedgerRow, ReportError, write_atomically};
 
 /// Writes `cohort.md` and `report.html` of `patients` into a folder; those without a row were not run.
@@ -35,7 +35,7 @@ fn page(name: &str, table: &PatientTable, patients: &[&CohortPatient], rows: &BT
     let named = ["patient", "status"].into_iter().chain(figures.iter().copied());
     let of_patients = Table {
         caption: "The patients; parameters with their 95 % intervals".into(),
-        columns: named.chain(parameters.iter().map(String::as_str)).map(str::to_owned).collect(),
+        columns: named.map(heading).chain(parameters.iter().cloned()).collect(),
         rows: run.iter().map(line).collect(),
     };
     let reasons: Vec<String> =
@@ -65,7 +65,7 @@ fn of_figure(table: &PatientTable, figure: &str, run: &[(&CohortPatient, &Ledger
     let value = |row: &LedgerRow| table.field(row, figure).and_then(|field| field.parse::<f64>().ok());
     let bar =
         |(patient, row): &(&CohortPatient, &LedgerRow)| Some(Bar { name: patient.name.clone(), value: value(row)?, ..Bar::default() });
-    Bars { title: figure.replace('_', " ").replace(" lv", " LV"), bars: run.iter().filter_map(bar).collect(), ..Bars::default() }
+    Bars { title: heading(figure), bars: run.iter().filter_map(bar).collect(), ..Bars::default() }
 }
 
 /// Figures that somebody has.

@@ -148,14 +148,14 @@ impl ValidationSummary {
         let (dice, still) = (mean(|one| one.dice_tracked), mean(|one| one.dice_no_motion));
         let count = frames.len();
         vec![format!(
-            "labels of {count} frames, which nothing was fitted to: Dice {dice:.3} on average, {least:.3} at least (without motion {still:.3} on average)"
+            "Labels of {count} frames, which nothing was fitted to: Dice {dice:.3} on average, {least:.3} at least (without motion {still:.3} on average)"
         )]
     }
 
     fn headline(&self) -> String {
         let distance = |mm: Option<f64>| mm.map_or("none".to_owned(), |mm| format!("{mm:.2} mm"));
         format!(
-            "labels of frame {}, which nothing was fitted to: Dice {:.3} (without motion {:.3}), mean distance {} (without motion {})",
+            "Labels of frame {}, which nothing was fitted to: Dice {:.3} (without motion {:.3}), mean distance {} (without motion {})",
             self.frame,
             self.dice_tracked,
             self.dice_no_motion,

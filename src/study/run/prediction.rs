@@ -133,7 +133,7 @@ impl Predictions {
     fn curves(&self, value: fn(&VentricleCurve) -> f64) -> Vec<Curve> {
         let curve = |(one, look): (&Beaten, Look)| {
             let points = one.last_beat().map(|(time_s, curve)| (time_s, value(&curve))).collect();
-            let name = if one.name == OWN_ONSET { "own onset".into() } else { one.name.replace('_', " ") };
+            let name = onset_in_words(&one.name);
             Curve { name, look, points }
         };
         self.beaten.iter().zip(LOOKS).map(curve).collect()
@@ -210,10 +210,19 @@ fn row(heart: &'static str, Beaten { name, model, trajectory, clock }: &Beaten) 
     }
 }
 
+/// An onset as it is said.
+pub(super) fn onset_in_words(onset: &str) -> String {
+    match onset {
+        OWN_ONSET => "own onset".into(),
+        "lbbb" => "LBBB".into(),
+        name => name.replace('_', " ").replace("rv ", "RV "),
+    }
+}
+
 fn headline(row: &PredictionRow) -> Option<String> {
     Some(format!(
-        "{} ({}): activation {:.0} ms, dP/dt max {:.0} mmHg/s ({:+.1} %), EF {:.1} %, dispersion {:.0} ms",
-        row.onset,
+        "Under {} ({}): activation {:.0} ms, dP/dt max {:.0} mmHg/s ({:+.1} %), EF {:.1} %, dispersion {:.0} ms",
+        onset_in_words(&row.onset),
         row.heart,
         row.total_activation_time_ms,
         row.pressure_rate_max_lv_mmhg_per_s?,

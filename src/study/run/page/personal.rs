@@ -143,7 +143,7 @@ fn spectrum(uncertainty: &Uncertainty, space: &ParameterSpace) -> Bars {
     let bar = |(direction, &value): (usize, &f64)| Bar { name: largest(direction), value: value.log10(), ..Bar::default() };
     Bars {
         title: "What the data know beyond the prior, by direction".into(),
-        quantity: "decimal logarithm of the singular value (below 0: the prior knows more)".into(),
+        quantity: "log₁₀ of the singular value (below 0: the prior knows more)".into(),
         beside: None,
         bars: uncertainty.singular_values.iter().enumerate().map(bar).filter(|bar| bar.value.is_finite()).collect(),
     }

@@ -3,7 +3,7 @@
 use crate::report::figures::Bar;
 use crate::report::html::{Bars, Block, BullsEye, Plot, Scale, Section, Table};
 use crate::study::plan::OWN_ONSET;
-use crate::study::run::prediction::{PredictionRow, Predictions};
+use crate::study::run::prediction::{PredictionRow, Predictions, onset_in_words};
 use crate::units::MS_PER_S;
 
 use super::wall::by_segment;
@@ -22,7 +22,7 @@ fn blocks(predictions: &Predictions) -> Vec<Block> {
         "The true heart of this phantom was depolarised from the same places: what it does stands behind each prediction, and shows what that is worth."
     };
     let eyes = predictions.beaten.iter().map(|one| BullsEye {
-        title: format!("Activation, {}", words(&one.name)),
+        title: format!("Activation, {}", onset_in_words(&one.name)),
         unit: "ms".into(),
         values: by_segment(one.segments().iter().map(|row| (row.segment, MS_PER_S * row.activation_time_s))),
         scale: Scale::Sequential,
@@ -40,11 +40,6 @@ fn blocks(predictions: &Predictions) -> Vec<Block> {
         blocks.push(Block::BullsEyes(eyes));
     }
     blocks
-}
-
-/// An onset as it is said.
-fn words(onset: &str) -> String {
-    if onset == OWN_ONSET { "own onset".into() } else { onset.replace('_', " ") }
 }
 
 /// A figure of a row, in the unit it is shown in.
@@ -75,7 +70,7 @@ fn table(predictions: &Predictions) -> Table {
             (Some(found), None) => rounded(found, decimals),
             _ => String::new(),
         };
-        std::iter::once(words(&row.onset)).chain(FIGURES.iter().map(cell)).collect()
+        std::iter::once(onset_in_words(&row.onset)).chain(FIGURES.iter().map(cell)).collect()
     };
     Table {
         caption:
@@ -90,7 +85,7 @@ fn table(predictions: &Predictions) -> Table {
 fn changes(predictions: &Predictions) -> Bars {
     let bar = |row: &PredictionRow| {
         let truth = predictions.truth.iter().find(|truth| truth.onset == row.onset);
-        Some(Bar { name: words(&row.onset), value: change(row)?, beside: truth.and_then(change), ..Bar::default() })
+        Some(Bar { name: onset_in_words(&row.onset), value: change(row)?, beside: truth.and_then(change), ..Bar::default() })
     };
     Bars {
         title: "Change of LV dP/dt max against the own onset".into(),
