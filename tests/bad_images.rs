@@ -5,6 +5,8 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a test may stop at the first surprise, and says what it could not look at")]
 
+mod common;
+
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
@@ -161,11 +163,7 @@ fn rename_series(bytes: &mut [u8]) {
 /// A patient's folder with a slice taken out, another in two series, a file cut off, and files that are no images.
 #[test]
 fn a_scanners_folder_with_gaps_strangers_and_damage_is_read_and_all_of_it_said() {
-    let scan = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/sunnybrook_SCD0000201/dicom");
-    if !scan.is_dir() {
-        eprintln!("SKIPPED: {} is not at hand", scan.display());
-        return;
-    }
+    let Some(scan) = common::real_data("sunnybrook_SCD0000201/dicom") else { return };
     let folder = tempfile::tempdir().unwrap();
     // Twenty files a slice, in their order: the sixth slice is left out.
     for number in (1..=260).filter(|number| !(101..=120).contains(number)) {

@@ -126,11 +126,7 @@ fn what_makes_no_study_is_told_the_remedy_and_nothing_is_overwritten() {
 
 #[test]
 fn real_drawings_are_given_back_to_their_frames() {
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/sunnybrook_SCD0000201");
-    if !data.is_dir() {
-        eprintln!("SKIPPED: {} is not at hand", data.display());
-        return;
-    }
+    let Some(data) = common::real_data("sunnybrook_SCD0000201") else { return };
     let folder = fresh_folder("real");
     let at = |file: &str| data.join(file).to_string_lossy().into_owned();
     let files = ["cine_sax_crop.nii.gz", "labels_ES_crop.nii.gz", "labels_ED_crop.nii.gz", "meta.json"].map(at);
@@ -149,11 +145,7 @@ fn real_drawings_are_given_back_to_their_frames() {
 /// Automatic contours of every frame that leave the ventricle above slice 13: those slices are left out, and end-diastole is the one that was found by eye.
 #[test]
 fn contours_that_leave_the_ventricle_do_not_choose_its_start() {
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/sri_E774");
-    if !data.is_dir() {
-        eprintln!("SKIPPED: {} is not at hand", data.display());
-        return;
-    }
+    let Some(data) = common::real_data("sri_E774") else { return };
     let folder = fresh_folder("animal");
     let files = ["cine_sax_crop.nii.gz", "labels_lv_auto_all_frames_crop.nii.gz", "meta.json"].map(|file| data.join(file));
     let arguments: Vec<&str> = std::iter::once("init").chain(files.iter().map(|file| file.to_str().unwrap())).collect();

@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a test may stop at the first surprise, and says what it could not look at")]
 
+mod common;
+
 use std::path::{Path, PathBuf};
 
 use assert_cmd::Command;
@@ -319,11 +321,8 @@ fn labels_are_meshed_beside_their_volumes_and_bad_ones_are_refused() {
     assert!(missing.code == 2 && missing.err.contains("no_labels.nii.gz does not exist"), "{}", missing.err);
     let masks = cardiotwin(&["mesh", "README.md", "README.md", "-o", "none.vtu"]);
     assert!(masks.code == 2 && masks.err.contains("README.md"), "{}", masks.err);
-    let labels = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/sunnybrook_SCD0000201/labels_ED_crop.nii.gz");
-    if !labels.is_file() {
-        eprintln!("SKIPPED: {} is not at hand", labels.display());
-        return;
-    }
+    let Some(data) = common::real_data("sunnybrook_SCD0000201") else { return };
+    let labels = data.join("labels_ED_crop.nii.gz");
     let labels = labels.to_str().unwrap();
     let mesh = study("mesh_of_labels", "").parent().unwrap().join("heart.vtk");
     let mesh = mesh.to_str().unwrap();

@@ -7,28 +7,21 @@
     reason = "a test may stop at the first surprise, and says aloud what it could not look at"
 )]
 
-use std::path::{Path, PathBuf};
+mod common;
+
+use std::path::Path;
 
 use cardiotwin::image::{
     CineReading, CineSequence, CineTiming, VolumeCurve, cine_warnings, follow_cavity, read_cine, read_dicom_folder, read_label_map,
     read_label_maps,
 };
+use common::real_data;
 use nalgebra::Vector3;
-
-/// A data set, or none where this machine has no copy of it.
-fn data(name: &str) -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(name);
-    if !folder.is_dir() {
-        eprintln!("SKIPPED: {} is not at hand", folder.display());
-        return None;
-    }
-    Some(folder)
-}
 
 /// The files of the scanner and the NIfTI that was made and cropped from them by another program tell the same.
 #[test]
 fn dicom_and_nifti_of_one_patient_are_the_same_image_in_the_world() {
-    let Some(folder) = data("sunnybrook_SCD0000201") else { return };
+    let Some(folder) = real_data("sunnybrook_SCD0000201") else { return };
     let timing = CineTiming::from_sidecar(&folder.join("meta.json")).unwrap();
     let nifti = read_cine(&folder.join("cine_sax_crop.nii.gz"), &timing).unwrap().cine;
     let read = read_dicom_folder(&folder.join("dicom"), &CineTiming::default()).unwrap();
@@ -63,7 +56,7 @@ fn cine(folder: &Path) -> CineReading {
 #[test]
 fn exchanged_frames_are_named_and_none_of_a_heart_in_order() {
     for name in ["sunnybrook_SCD0000201", "sri_E774"] {
-        let Some(folder) = data(name) else { return };
+        let Some(folder) = real_data(name) else { return };
         let cine = cine(&folder).cine;
         let out_of_order = |cine: &CineSequence| cine_warnings(cine).into_iter().filter(|w| w.contains("out of order")).collect::<Vec<_>>();
         assert_eq!(out_of_order(&cine), Vec::<String>::new());
@@ -80,7 +73,7 @@ fn exchanged_frames_are_named_and_none_of_a_heart_in_order() {
 /// The expert drew end-diastole, from which the images are followed, and independently end-systole.
 #[test]
 fn volumes_from_the_images_of_a_failing_heart_agree_with_the_expert_at_end_systole() {
-    let Some(folder) = data("sunnybrook_SCD0000201") else { return };
+    let Some(folder) = real_data("sunnybrook_SCD0000201") else { return };
     let cine = cine(&folder).cine;
     let drawn = |name: &str| read_label_map(&folder.join(name)).unwrap();
     let drawn_ml = |name: &str| drawn(name).count(1) as f64 * drawn(name).grid().voxel_volume_mm3() / 1000.0;
@@ -99,7 +92,7 @@ fn volumes_from_the_images_of_a_failing_heart_agree_with_the_expert_at_end_systo
 /// Another program's contours of every frame; one of them starts the following.
 #[test]
 fn volumes_from_the_images_of_an_animal_agree_with_contours_of_every_frame() {
-    let Some(folder) = data("sri_E774") else { return };
+    let Some(folder) = real_data("sri_E774") else { return };
     let cine = cine(&folder).cine;
     let maps = read_label_maps(&folder.join("labels_lv_auto_all_frames_crop.nii.gz")).unwrap();
     // Above slice 13 the contours follow the aorta and the atria.

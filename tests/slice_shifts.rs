@@ -9,7 +9,7 @@
     reason = "a test may stop at the first surprise, and says aloud what it could not look at"
 )]
 
-use std::path::Path;
+mod common;
 
 use cardiotwin::anatomy::AnatomySettings;
 use cardiotwin::anatomy::mesher::MesherSettings;
@@ -86,11 +86,7 @@ fn slices_that_are_all_displaced_are_found_but_for_a_drift() {
 /// The slices of a real patient lie where the expert's centroids say, within 3 mm; moved on purpose, they are found where they were moved to.
 #[test]
 fn a_patients_slices_lie_right_and_known_shifts_of_them_are_found_within_a_voxel() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/sunnybrook_SCD0000201");
-    if !folder.is_dir() {
-        eprintln!("SKIPPED: {} is not at hand", folder.display());
-        return;
-    }
+    let Some(folder) = common::real_data("sunnybrook_SCD0000201") else { return };
     let timing = CineTiming::from_sidecar(&folder.join("meta.json")).unwrap();
     let cine = read_cine(&folder.join("cine_sax_crop.nii.gz"), &timing).unwrap().cine;
     let labels = read_label_map(&folder.join("labels_ED_crop.nii.gz")).unwrap();

@@ -3,11 +3,11 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a test may stop at the first surprise, and says what it could not look at")]
 
+mod common;
 mod surfaces;
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
-use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
 use cardiotwin::anatomy::mesher::MesherSettings;
@@ -109,11 +109,7 @@ fn two_ventricles_come_back_from_cubic_voxels_within_half_a_voxel() {
 /// A shape that this program has not made: the biventricle of the cardiac elastodynamics benchmark.
 #[test]
 fn the_benchmark_biventricle_comes_back_from_thick_slices() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/benchmark_biventricle");
-    if !folder.is_dir() {
-        eprintln!("SKIPPED: {} is not at hand", folder.display());
-        return;
-    }
+    let Some(folder) = common::real_data("benchmark_biventricle") else { return };
     let files = TableFiles {
         vertices: folder.join("nodes_xyz_m.txt"),
         tetrahedra: folder.join("tets_0based.txt"),

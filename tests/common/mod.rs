@@ -1,6 +1,12 @@
-//! What tests from outside share: folders of their own.
+//! What tests share: folders of their own, and real data where they are at hand.
 
-#![allow(dead_code, unreachable_pub, clippy::unwrap_used, reason = "each test uses its part; a test may stop at the first surprise")]
+#![allow(
+    dead_code,
+    unreachable_pub,
+    clippy::unwrap_used,
+    clippy::print_stderr,
+    reason = "each test uses its part, may stop at the first surprise, and says what it could not look at"
+)]
 
 use std::path::{Path, PathBuf};
 
@@ -18,4 +24,14 @@ pub fn fresh_study(test: &str, part: &str, text: &str) -> (PathBuf, PathBuf) {
     let file = folder.join("study.toml");
     std::fs::write(&file, text).unwrap();
     (file, folder.join("results"))
+}
+
+/// A folder of `../shared/data`, or none, which is said, where this machine has no copy of it.
+pub fn real_data(name: &str) -> Option<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(name);
+    if !folder.is_dir() {
+        eprintln!("SKIPPED: {} is not at hand", folder.display());
+        return None;
+    }
+    Some(folder)
 }
