@@ -57,14 +57,14 @@ pub(super) fn montages(scene: &ImageScene) -> Result<(), RunError> {
 
 /// The same slices at the frames `places`: short axis, then long axis, the middle slice of every further view.
 pub(super) fn every_frame(scene: &ImageScene, places: &[usize]) -> Result<Montage, RunError> {
-    let named = |axis: &'static str| move |row: Row<'_>| format!("{axis}, {}", row.title);
+    let named = |axis: &'static str| move |row: Row<'_>| format!("{axis} {}", row.title);
     let short = short_axis_rows(scene).into_iter().map(|row| {
         let title = format!("Short axis {}, {}", level(scene.patient, row.view, row.slice), row.title);
         (row.view, row.slice, title)
     });
     let planes = if scene.images.long_axis.is_empty() { long_axis_planes(scene)? } else { Vec::new() };
     let views = scene.images.long_axis.iter().flat_map(|view| long_axis_rows(scene, view, 1));
-    let cut = "Long axis (from the short-axis stack)";
+    let cut = "Long axis (from the short-axis stack),";
     let long = views.map(|row| (row.view, row.slice, named("Long axis, slice at")(row)));
     let long = long.chain(plane_rows(&planes).into_iter().map(|row| (row.view, row.slice, named(cut)(row))));
     let rows: Vec<Row> = short.chain(long).map(|(view, slice, title)| Row { view, slice, title }).collect();
