@@ -179,7 +179,7 @@ impl Search<'_> {
             answer = self.answer(start, tracked, &TrackingBias::mean(&replicas), &format!("replica_{number}"))?;
             stages.extend(stage("less_tracking_bias", space, &answer.found));
         }
-        Ok((answer, TrackingBias::mean(&replicas).rows(replicas.len(), clock)))
+        Ok((answer, TrackingBias::mean(&replicas).rows(clock)))
     }
 }
 
