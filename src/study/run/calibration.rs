@@ -89,14 +89,10 @@ pub(super) fn residual<'a>(
     bias: &TrackingBias,
 ) -> Result<StackedResidual<'a, CalibrationTrajectory>, RunError> {
     let mut stack = StackedResidual::default();
-    // What replicas took off the tracked data, they added their own noise to.
-    let growth = bias.noise_growth();
     if data.volumes != Some(VolumeData::None) {
-        let growth = if measured.is_tracked { growth } else { 1.0 };
-        let left = VolumeCurveResidual::new(Ventricle::Left, measured.left_ml.clone(), growth * data.sigma_volume_ml)?;
-        stack = stack.with("volume_lv", left);
+        stack = stack.with("volume_lv", VolumeCurveResidual::new(Ventricle::Left, measured.left_ml.clone(), data.sigma_volume_ml)?);
         if let (Some(right_ml), Some(sigma_ml)) = (&measured.right_ml, right_sigma_ml(data, measured)) {
-            stack = stack.with("volume_rv", VolumeCurveResidual::new(Ventricle::Right, right_ml.clone(), growth * sigma_ml)?);
+            stack = stack.with("volume_rv", VolumeCurveResidual::new(Ventricle::Right, right_ml.clone(), sigma_ml)?);
         }
     }
     let anatomy = &patient.anatomy;
@@ -106,16 +102,14 @@ pub(super) fn residual<'a>(
         (BoundaryData::Tracked | BoundaryData::Truth, _) => tracked_targets(anatomy, tracked),
     };
     if !targets.is_empty() {
-        let is_tracked = data.boundary == BoundaryData::Tracked;
-        let sigma_mm = if is_tracked { growth * data.sigma_boundary_mm } else { data.sigma_boundary_mm };
-        let mut boundary = BoundaryResidual::new(&targets, sigma_mm)?.with_loss(Loss::Huber { threshold: HUBER_THRESHOLD });
-        if is_tracked {
+        let mut boundary = BoundaryResidual::new(&targets, data.sigma_boundary_mm)?.with_loss(Loss::Huber { threshold: HUBER_THRESHOLD });
+        if data.boundary == BoundaryData::Tracked {
             boundary = boundary.less_bias(&bias.boundary_mm);
         }
         stack = stack.with("boundary", boundary);
     }
     if let Some(sigma_mm) = data.sigma_base_mm {
-        let base = BoundaryResidual::new(&base_targets(anatomy, clock, tracked), growth * sigma_mm)?.less_bias(&bias.base_mm);
+        let base = BoundaryResidual::new(&base_targets(anatomy, clock, tracked), sigma_mm)?.less_bias(&bias.base_mm);
         stack = stack.with("base", base);
     }
     if let Some(file) = &data.pressures {

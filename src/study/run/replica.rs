@@ -140,7 +140,7 @@ impl TrackingBias {
         }
     }
 
-    /// By what the standard deviation of data grows where this is taken off them: √(1 + 1/S) for the noise of S replicas, \[Gourieroux1993\].
+    /// By what the standard deviation of data is larger where this was taken off them: √(1 + 1/S) for the noise of S replicas, \[Gourieroux1993\].
     pub(super) fn noise_growth(&self) -> f64 {
         if self.replicas == 0 { 1.0 } else { (1.0 + 1.0 / self.replicas as f64).sqrt() }
     }
