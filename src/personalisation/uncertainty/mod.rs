@@ -27,17 +27,11 @@ const NULL: f64 = 1e-13;
 pub enum NoiseScale {
     /// The standard deviations stated with the residuals are true: s = 1.
     AsStated,
-    /// s² = Σ w r²/(n − p): the residuals that remain tell the noise (and the model's discrepancy), never less than `least` times what is stated.
-    FromResiduals {
-        /// The least s; 1 where the data are as noisy as stated.
-        least: f64,
-    },
+    /// s² = Σ w r²/(n − p): the residuals that remain tell the noise (and the model's discrepancy), never less than stated.
+    FromResiduals,
     /// The residuals that remain tell the noise and the model's discrepancy, which make the rows of a place and those of an instant err together
     /// ([`super::Cluster`]); never less than [`NoiseScale::FromResiduals`] says.
-    FromClusters {
-        /// The least s.
-        least: f64,
-    },
+    FromClusters,
     /// s is known, and the problem's prior is in units of the stated noise: the whole objective is over s², see [`super::Evidence`].
     OfObjective(f64),
 }
@@ -82,9 +76,7 @@ impl Uncertainty {
         let free: Vec<usize> = (0..problem.dimension()).filter(|&index| !held(index)).collect();
         let noise_scale = match noise {
             NoiseScale::AsStated => 1.0,
-            NoiseScale::FromResiduals { least } | NoiseScale::FromClusters { least } => {
-                residual_scale(at, &weights, free.len())?.max(least)
-            }
+            NoiseScale::FromResiduals | NoiseScale::FromClusters => residual_scale(at, &weights, free.len())?,
             NoiseScale::OfObjective(scale) => scale,
         };
         let prior_scale = if matches!(noise, NoiseScale::OfObjective(_)) { noise_scale } else { 1.0 };
@@ -101,7 +93,7 @@ impl Uncertainty {
             }
         }
         let (mut scaled_covariance, undetermined) = inverse(information);
-        if matches!(noise, NoiseScale::FromClusters { .. }) {
+        if noise == NoiseScale::FromClusters {
             // Whitened rows are over s, and so is A: A⁻¹ s_g keeps one factor s of it.
             let mut scores = whitened.clone();
             for (row, mut score) in scores.row_iter_mut().enumerate() {
@@ -170,7 +162,7 @@ impl Uncertainty {
     }
 }
 
-/// √(Σ w r²/(n − p)).
+/// √(Σ w r²/(n − p)), at least 1.
 fn residual_scale(at: &Linearisation, weights: &DVector<f64>, parameter_count: usize) -> Result<f64, PersonalisationError> {
     let row_count = at.rows.len();
     if row_count <= parameter_count {
@@ -178,7 +170,7 @@ fn residual_scale(at: &Linearisation, weights: &DVector<f64>, parameter_count: u
         return Err(PersonalisationError::Setting { what: "residual rows", value: row_count as f64, remedy });
     }
     let sum: f64 = at.rows.iter().zip(weights).map(|(row, weight)| weight * row * row).sum();
-    Ok((sum / (row_count - parameter_count) as f64).sqrt())
+    Ok((sum / (row_count - parameter_count) as f64).sqrt().max(1.0))
 }
 
 /// Inverse on the range, and which coordinates have a part in the null space.

@@ -112,16 +112,9 @@ fn what_neither_data_nor_prior_see_is_infinite_and_what_a_bound_holds_has_no_int
 fn residuals_correct_a_noise_stated_too_small() {
     let data: Vec<f64> = (0..400).map(|k| if k % 2 == 0 { 1.0 } else { -1.0 }).collect();
     let constant = |theta: &DVector<f64>| Ok(DVector::from_element(400, theta[0]));
-    let stated = |sd, least| {
-        let noise = NoiseScale::FromResiduals { least };
-        posterior(constant, &Samples { data: data.clone(), sd }, PriorResidual::none(1), 50.0, noise).1
-    };
-    let told = stated(0.1, 1.0);
+    let told = posterior(constant, &Samples { data, sd: 0.1 }, PriorResidual::none(1), 50.0, NoiseScale::FromResiduals).1;
     assert!((told.noise_scale - 10.0 * (400.0_f64 / 399.0).sqrt()).abs() < 1e-6);
     assert!((told.sd[0].unwrap() - 1.0 / 20.0).abs() < 1e-3);
-    // Never less than what is stated, times what was taken off the data added to it.
-    let floor = stated(2.0, 1.5);
-    assert!((floor.noise_scale - 1.5).abs() < 1e-12 && (floor.sd[0].unwrap() - 3.0 / 20.0).abs() < 1e-9);
 }
 
 /// Damped oscillation x(t) = a e^{−δt} cos(ωt) in logarithmic coordinates.
@@ -242,7 +235,7 @@ fn gridded_mean(values: Vec<f64>, instants: usize) -> (f64, [f64; 2]) {
     let found = calibrate(&problem, &DVector::zeros(1), GaussNewtonSettings::default(), &mut |_| ()).unwrap();
     let at = found.linearisation.unwrap();
     let sd = |noise| Uncertainty::new(&problem, &at, noise).unwrap().sd[0].unwrap();
-    (found.coordinates[0], [sd(NoiseScale::FromClusters { least: 1.0 }), sd(NoiseScale::FromResiduals { least: 1.0 })])
+    (found.coordinates[0], [sd(NoiseScale::FromClusters), sd(NoiseScale::FromResiduals)])
 }
 
 /// Rows that are copies of each other are no more data than one of them: the deviation of the mean is that of the mean of the places.

@@ -69,7 +69,7 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let residual = residual(&wanted.data, &patient, &clock, &measured, &tracked, &TrackingBias::default())?;
     let base = heart_model(&plan.model, &patient.anatomy, patient.parameters.clone())?;
     let (space, _) = start_space(wanted, &base, &clock, &measured.left_ml, context)?;
-    let task = Task { wanted, base: &base, space: &space, clock: &clock, residual: &residual, least_noise: 1.0 };
+    let task = Task { wanted, base: &base, space: &space, clock: &clock, residual: &residual };
     let mut found = Vec::new();
     for &method in &wanted.solvers {
         let journal = journal_of(plan, method.word(), &plan.provenance)?;

@@ -157,7 +157,7 @@ impl Search<'_> {
         let &Self { scene: &Scene { plan, wanted, patient, clock, .. }, base, space, context } = self;
         let measured = bias.taken_off(measured_volumes(plan, wanted, patient, clock, tracked)?);
         let residual = residual(&wanted.data, patient, clock, &measured, tracked, bias)?;
-        let task = Task { wanted, base, space, clock, residual: &residual, least_noise: bias.noise_growth() };
+        let task = Task { wanted, base, space, clock, residual: &residual };
         let journal = journal_of(plan, journal, &plan.provenance)?;
         let found = find(&task, wanted.solver, start, Some(&journal), context)?;
         if !context.is_stopped() {
@@ -179,7 +179,7 @@ impl Search<'_> {
             answer = self.answer(start, tracked, &TrackingBias::mean(&replicas), &format!("replica_{number}"))?;
             stages.extend(stage("less_tracking_bias", space, &answer.found));
         }
-        Ok((answer, TrackingBias::mean(&replicas).rows(clock)))
+        Ok((answer, TrackingBias::mean(&replicas).rows(replicas.len(), clock)))
     }
 }
 

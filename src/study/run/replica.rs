@@ -25,8 +25,6 @@ use crate::study::plan::{ImageSource, Plan};
 /// How far what is tracked lies beyond what is there.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct TrackingBias {
-    /// How many replicas it is the mean of.
-    replicas: usize,
     /// Volumes at the frames of the clock, mL, left ventricle first.
     volumes_ml: Vec<Vec<f64>>,
     /// Boundaries by frame and group.
@@ -111,7 +109,6 @@ impl TrackingBias {
             found.volume_ml.iter().zip(&there.volume_ml).map(|(found, there)| found - there).collect()
         };
         Ok(Self {
-            replicas: 1,
             volumes_ml: frames.map(difference).collect(),
             boundary_mm: distances(tracked_targets(anatomy, replica))?,
             base_mm: distances(base_targets(anatomy, clock, replica))?,
@@ -133,16 +130,10 @@ impl TrackingBias {
             sums.into_iter().map(|(key, (sum_mm, count))| (key, sum_mm / count)).collect()
         };
         Self {
-            replicas: replicas.iter().map(|one| one.replicas).sum(),
             volumes_ml: first.volumes_ml.iter().enumerate().map(frame).collect(),
             boundary_mm: grouped(&|one| &one.boundary_mm),
             base_mm: grouped(&|one| &one.base_mm),
         }
-    }
-
-    /// By what the standard deviation of data is larger where this was taken off them: √(1 + 1/S) for the noise of S replicas, \[Gourieroux1993\].
-    pub(super) fn noise_growth(&self) -> f64 {
-        if self.replicas == 0 { 1.0 } else { (1.0 + 1.0 / self.replicas as f64).sqrt() }
     }
 
     /// Tracked volumes without the bias; others have none.
@@ -159,7 +150,7 @@ impl TrackingBias {
     }
 
     /// The rows of `tracking_bias.csv`.
-    pub(super) fn rows(&self, clock: &Clock) -> Vec<BiasRow> {
+    pub(super) fn rows(&self, replicas: usize, clock: &Clock) -> Vec<BiasRow> {
         let surface = |frame: usize, number: u32| {
             let of_surface =
                 self.boundary_mm.range((frame, number * 100)..(frame, (number + 1) * 100)).map(|(_, distance_mm)| *distance_mm);
@@ -167,7 +158,7 @@ impl TrackingBias {
             (!distances.is_empty()).then(|| crate::numerics::mean(&distances))
         };
         let row = |(frame, volumes_ml): (usize, &Vec<f64>)| BiasRow {
-            replicas: self.replicas,
+            replicas,
             frame: clock.frames.get(frame).copied().unwrap_or(frame),
             time_s: clock.times_s.get(frame).copied().unwrap_or(f64::NAN),
             volume_lv_ml: volumes_ml.first().copied().unwrap_or(f64::NAN),
@@ -175,20 +166,5 @@ impl TrackingBias {
             epicardium_mm: surface(frame, 3),
         };
         self.volumes_ml.iter().enumerate().map(row).collect()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::TrackingBias;
-
-    /// The mean of S replicas has the variance 1/S, the data 1, and their difference 1 + 1/S.
-    #[test]
-    fn data_are_the_noisier_the_fewer_replicas_are_taken_off_them() {
-        let replica = |volume_ml: f64| TrackingBias { replicas: 1, volumes_ml: vec![vec![volume_ml]], ..TrackingBias::default() };
-        let four = TrackingBias::mean(&[replica(1.0), replica(2.0), replica(3.0), replica(6.0)]);
-        assert_eq!(four.volumes_ml, [[3.0]]);
-        let growths = [TrackingBias::default(), replica(1.0), four].map(|bias| bias.noise_growth().powi(2));
-        assert!(growths.iter().zip([1.0, 2.0, 1.25]).all(|(found, expected)| (found - expected).abs() < 1e-12), "{growths:?}");
     }
 }

@@ -28,8 +28,6 @@ pub(super) struct Task<'a> {
     pub(super) space: &'a ParameterSpace,
     pub(super) clock: &'a Clock,
     pub(super) residual: &'a StackedResidual<'a, CalibrationTrajectory>,
-    /// How noisy the data are at least, beside what is stated of them.
-    pub(super) least_noise: f64,
 }
 
 /// What a search found, and how sure that is.
@@ -77,7 +75,7 @@ pub(super) fn find(
     journal: Option<&JournalFile>,
     context: &RunContext,
 ) -> Result<Found, RunError> {
-    let Task { wanted, base, space, clock, residual, .. } = *task;
+    let Task { wanted, base, space, clock, residual } = *task;
     let is_stopped = || context.is_stopped();
     let model = HeartTangents::new(base, space, clock, wanted.tangents, &is_stopped);
     let sink = |entry: &_| journal.into_iter().for_each(|journal| journal.append(entry));
@@ -147,8 +145,8 @@ pub(super) fn journal_of(plan: &Plan, name: &str, provenance: &Provenance) -> Re
 fn noise_scale(row_count: usize, task: &Task) -> NoiseScale {
     match task.wanted.intervals {
         _ if row_count <= task.space.dimension() => NoiseScale::AsStated,
-        Intervals::Clusters => NoiseScale::FromClusters { least: task.least_noise },
-        Intervals::Residuals => NoiseScale::FromResiduals { least: task.least_noise },
+        Intervals::Clusters => NoiseScale::FromClusters,
+        Intervals::Residuals => NoiseScale::FromResiduals,
     }
 }
 

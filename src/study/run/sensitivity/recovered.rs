@@ -37,7 +37,7 @@ pub(super) fn recovered(
     let measured = measured_volumes(plan, wanted, patient, &clock, tracked)?;
     let (space, _) = start_space(wanted, model, &clock, &measured.left_ml, &context)?;
     let residual = residual(&wanted.data, patient, &clock, &measured, tracked, &TrackingBias::default())?;
-    let task = Task { wanted, base: model, space: &space, clock: &clock, residual: &residual, least_noise: 1.0 };
+    let task = Task { wanted, base: model, space: &space, clock: &clock, residual: &residual };
     let calibration = find(&task, wanted.solver, &space.initial(), None, &context)?.calibration;
     let names = space.names().into_iter().map(|name| format!("{RECOVERED}{name}"));
     let status = match calibration.outcome {
