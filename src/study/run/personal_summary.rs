@@ -67,8 +67,8 @@ impl Details {
         lines.extend(self.recovery.iter().map(|recovery| {
             let verdict = match recovery.within_tolerance {
                 _ if !recovery.has_tolerances() => "",
-                true => "truth recovered within the stated tolerances; ",
-                false => "truth recovered NOT within the stated tolerances; ",
+                true => "Truth recovered within the stated tolerances; ",
+                false => "Truth recovered NOT within the stated tolerances; ",
             };
             format!("{verdict}volume of the model {:.2} mL RMS from the truth", recovery.volume_model_rms_ml)
         }));
