@@ -1,17 +1,14 @@
 //! What the derivatives of a beat cost beside the beat: 20 and 40 parameters along with 1 s in steps of 5 ms.
-#![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout, reason = "criterion's macros, and a bench that fails loudly")]
+#![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout, reason = "a bench that fails loudly")]
 
 use std::hint::black_box;
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::time::Instant;
 
 use cardiotwin::anatomy::AhaSegment;
 use cardiotwin::heart::{HeartModel, Parameter, Part, RegionalParameter, SimulationPlan, simulate, simulate_with_tangents};
-use cardiotwin::numerics::{CholeskyFactor, CholeskyWorkspace};
-use criterion::{Criterion, criterion_group, criterion_main};
+use cardiotwin::numerics::{CholeskyFactor, CholeskyWorkspace, PanelWorkspace};
 use nalgebra::Vector3;
-use rustix::time::{ClockId, clock_gettime};
 
 mod hearts;
 
@@ -42,15 +39,11 @@ const PARAMETERS: [Parameter; 20] = [
 
 const PLAN: SimulationPlan = SimulationPlan { start_time_s: 0.0, end_time_s: 1.0, frame_times_s: vec![] };
 
-/// Seconds on the clock, and of the processor in all threads.
-fn timed(what: impl FnOnce()) -> (f64, f64) {
-    let processor_s = || {
-        let used = clock_gettime(ClockId::ProcessCPUTime);
-        used.tv_sec as f64 + used.tv_nsec as f64 * 1e-9
-    };
-    let (clock, start_s) = (Instant::now(), processor_s());
+/// Seconds of the processor.
+fn timed(what: impl FnOnce()) -> f64 {
+    let start_s = hearts::processor_s();
     what();
-    (clock.elapsed().as_secs_f64(), processor_s() - start_s)
+    hearts::processor_s() - start_s
 }
 
 fn beat(model: &HeartModel) {
@@ -69,32 +62,37 @@ fn print_solves(model: &HeartModel) {
     let load: Vec<Vector3<f64>> = operator.myocardium().rest_mm().to_vec();
     for count in [1, 2, 5, 10, 20, 40] {
         let mut columns = vec![load.clone(); count];
-        let seconds = (0..4).map(|_| timed(|| factor.solve_in_place(&mut columns, &mut memory).unwrap()).1).fold(f64::INFINITY, f64::min);
-        println!("    {count:2} right-hand sides: {:.1} ms", seconds * 1e3);
+        let mut panel = PanelWorkspace::default();
+        let panel_s = (0..4).map(|_| timed(|| factor.solve_panel(&mut columns, &mut panel).unwrap())).fold(f64::INFINITY, f64::min);
+        let seconds = (0..4).map(|_| timed(|| factor.solve_in_place(&mut columns, &mut memory).unwrap())).fold(f64::INFINITY, f64::min);
+        println!("    {count:2} right-hand sides: {:.1} ms, {:.1} ms as a panel", seconds * 1e3, panel_s * 1e3);
     }
 }
 
-fn cost(_: &mut Criterion<hearts::ProcessorTime>) {
+fn print_costs(name: &str, edge_length_mm: f64, round_count: usize) {
     let segments = AhaSegment::all().filter_map(|segment| RegionalParameter::new(Parameter::ContractionPeakLv, Part::Segment(segment)));
     let twenty: Vec<RegionalParameter> = PARAMETERS.map(RegionalParameter::from).to_vec();
     let rest = [Parameter::PoissonRatio, Parameter::DampingMass, Parameter::ValveResistance].map(RegionalParameter::from);
     let forty: Vec<RegionalParameter> = twenty.iter().copied().chain(segments).chain(rest).collect();
-    for (name, edge_length_mm) in &hearts::SIZES[..2] {
-        let model = hearts::heart(*edge_length_mm);
-        println!("{name}, {} vertices", model.anatomy().mesh.vertex_count());
-        print_solves(&model);
-        for threads in [1, 2] {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let alone = pool.install(|| timed(|| beat(&model)));
-            println!("    {threads} threads: beat {:.2} s, of the processor {:.2} s", alone.0, alone.1);
-            for parameters in [&twenty, &forty] {
-                let with = pool.install(|| timed(|| tangents(&model, parameters)));
-                let (clock, processor) = (with.0 / alone.0, with.1 / alone.1);
-                println!("        with {} tangents {clock:.2} times that, of the processor {processor:.2}", parameters.len());
-            }
-        }
-    }
+    let model = hearts::heart(edge_length_mm);
+    print_solves(&model);
+    hearts::print_in_turn(
+        &format!("{name}, {} vertices", model.anatomy().mesh.vertex_count()),
+        round_count,
+        vec![
+            ("free beat", Box::new(|| beat(&model))),
+            ("with 20 tangents", Box::new(|| tangents(&model, &twenty))),
+            ("with 40 tangents", Box::new(|| tangents(&model, &forty))),
+        ],
+    );
 }
 
-criterion_group! { name = benches; config = hearts::criterion(); targets = cost }
-criterion_main!(benches);
+fn main() {
+    // One thread, this one: the clock is its own.
+    rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build_global().unwrap();
+    let is_small = std::env::args().any(|argument| argument == "5k");
+    let sizes = if is_small { &hearts::SIZES[..1] } else { &hearts::SIZES[..2] };
+    for &(name, edge_length_mm) in sizes {
+        print_costs(name, edge_length_mm, if name == "5k" { 5 } else { 3 });
+    }
+}

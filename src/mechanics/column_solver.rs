@@ -6,13 +6,15 @@ use super::myocardium::check_size;
 use super::solver::StepMatrix;
 use super::{MechanicsError, StepOperator, StepSolver, StepSystem};
 use crate::numerics::{
-    CholeskyWorkspace, ConjugateGradientOutcome, KrylovLimits, KrylovWorkspace, LinearSolveError, conjugate_gradients, gmres,
+    CholeskyWorkspace, ConjugateGradientOutcome, KrylovLimits, KrylovWorkspace, LinearSolveError, PanelWorkspace, conjugate_gradients,
+    gmres,
 };
 
 /// Memory of one thread that solves many columns.
 #[derive(Debug, Default)]
 pub struct ColumnSolver {
     direct: CholeskyWorkspace<f64>,
+    panel: PanelWorkspace,
     single: CholeskyWorkspace<f32>,
     krylov: KrylovWorkspace,
     product: Vec<Vector3<f64>>,
@@ -44,7 +46,7 @@ impl ColumnSolver {
         }
         let matrix = StepMatrix::of_system(operator, system)?;
         if matrix.is_constant() {
-            operator.factor().solve_in_place(columns, &mut self.direct)?;
+            operator.factor().solve_panel(columns, &mut self.panel)?;
         } else {
             self.iterate(solver, matrix, columns, guesses, relative_tolerance)?;
         }
@@ -62,7 +64,7 @@ impl ColumnSolver {
         guesses: &[&[Vector3<f64>]],
         relative_tolerance: f64,
     ) -> Result<(), MechanicsError> {
-        let Self { direct, single, krylov, product } = self;
+        let Self { direct, single, krylov, product, .. } = self;
         let references: Vec<f64> = columns.iter().map(|column| super::solver::norm(column)).collect();
         for (column, guess) in columns.iter_mut().zip(guesses) {
             product.resize(column.len(), Vector3::zeros());

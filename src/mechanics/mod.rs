@@ -32,7 +32,7 @@ pub use myocardium::Myocardium;
 pub use passive_rate::PassiveRate;
 pub use scheme::TimeScheme;
 pub use solver::{SolvePath, SolveReport, SolveSettings, StepSolver};
-pub use step::{StepOperator, StepSettings};
+pub use step::{HistoryMemory, StepOperator, StepSettings};
 
 /// How every vertex moves at one instant.
 #[derive(Debug, Clone, PartialEq)]

@@ -87,6 +87,7 @@ impl Coefficients {
     }
 
     /// −ÿ⁺ at y⁺ = 0, mm/s²: what M multiplies on the right.
+    #[inline]
     pub(super) fn inertia_on_the_right(&self, state: &MotionState, vertex: usize) -> Vector3<f64> {
         self.predicted_position(state, vertex) * self.mass_factor()
             - state.algorithmic_acceleration_mm_per_s2[vertex] * self.inertia_algorithmic
@@ -94,6 +95,7 @@ impl Coefficients {
     }
 
     /// −v⁺ at y⁺ = 0, mm/s: what C multiplies on the right.
+    #[inline]
     pub(super) fn damping_on_the_right(&self, state: &MotionState, vertex: usize) -> Vector3<f64> {
         self.predicted_position(state, vertex) * self.damping_factor() - self.predicted_velocity(state, vertex)
     }
@@ -129,27 +131,34 @@ impl Coefficients {
 
     /// Writes the velocities and accelerations of the state whose positions `next` has.
     pub(super) fn complete(&self, state: &MotionState, next: &mut MotionState) {
-        next.algorithmic_acceleration_mm_per_s2.clear();
-        next.velocity_mm_per_s.clear();
-        next.acceleration_mm_per_s2.clear();
-        for vertex in 0..next.position_mm.len() {
-            let moved = next.position_mm[vertex] - self.predicted_position(state, vertex);
-            let algorithmic = moved / (self.beta * self.step_s * self.step_s);
-            next.algorithmic_acceleration_mm_per_s2.push(algorithmic);
-            next.velocity_mm_per_s.push(self.predicted_velocity(state, vertex) + algorithmic * (self.gamma * self.step_s));
-            next.acceleration_mm_per_s2.push(
-                algorithmic * self.inertia + state.algorithmic_acceleration_mm_per_s2[vertex] * self.inertia_algorithmic
-                    - state.acceleration_mm_per_s2[vertex] * self.inertia_history,
-            );
+        let count = next.position_mm.len();
+        let MotionState {
+            position_mm,
+            velocity_mm_per_s: velocity,
+            acceleration_mm_per_s2: acceleration,
+            algorithmic_acceleration_mm_per_s2: algorithmic,
+        } = next;
+        for field in [&mut *velocity, &mut *acceleration, &mut *algorithmic] {
+            field.resize(count, Vector3::zeros());
+        }
+        let fields = position_mm.iter().zip(velocity).zip(acceleration).zip(algorithmic);
+        for (vertex, (((position_mm, velocity), acceleration), algorithmic)) in fields.enumerate() {
+            let moved = position_mm - self.predicted_position(state, vertex);
+            *algorithmic = moved / (self.beta * self.step_s * self.step_s);
+            *velocity = self.predicted_velocity(state, vertex) + *algorithmic * (self.gamma * self.step_s);
+            *acceleration = *algorithmic * self.inertia + state.algorithmic_acceleration_mm_per_s2[vertex] * self.inertia_algorithmic
+                - state.acceleration_mm_per_s2[vertex] * self.inertia_history;
         }
     }
 
+    #[inline]
     fn predicted_position(&self, state: &MotionState, vertex: usize) -> Vector3<f64> {
         state.position_mm[vertex]
             + state.velocity_mm_per_s[vertex] * self.step_s
             + state.algorithmic_acceleration_mm_per_s2[vertex] * (self.position_history * self.step_s * self.step_s)
     }
 
+    #[inline]
     fn predicted_velocity(&self, state: &MotionState, vertex: usize) -> Vector3<f64> {
         state.velocity_mm_per_s[vertex] + state.algorithmic_acceleration_mm_per_s2[vertex] * (self.velocity_history * self.step_s)
     }

@@ -8,7 +8,7 @@ use super::kinematics::CorotationalConstants;
 use super::myocardium::check_size;
 use super::scheme::Coefficients;
 use super::{Kinematics, Linearisation, MechanicsError, MotionState, Myocardium, StepSystem, Tangent, TimeScheme};
-use crate::numerics::{BlockMatrix, CholeskyFactor, CholeskyWorkspace};
+use crate::numerics::{BlockMatrix, CholeskyFactor, CholeskyWorkspace, PanelWorkspace};
 
 /// How a step is taken.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,6 +42,13 @@ pub struct StepOperator {
     /// S_p x and, in linear kinematics, K x, mN: the elastic constants on the right.
     rest_force_mn: Vec<Vector3<f64>>,
     factor: CholeskyFactor,
+}
+
+/// Memory of [`StepOperator::add_history`].
+#[derive(Debug, Default)]
+pub struct HistoryMemory {
+    damped_mm_per_s: Vec<Vec<Vector3<f64>>>,
+    panel: PanelWorkspace,
 }
 
 /// C, or the part of it that is constant.
@@ -173,30 +180,32 @@ impl StepOperator {
 
     /// Adds to every force what its motion leaves on the right of a step, the part of [`StepOperator::assemble`] that is linear in the
     /// motion: for backward Euler $\frac{M}{h^2}(y + h v) + \frac Ch\,y$. In corotational kinematics without the damping of the stretch.
-    /// `damped_mm_per_s` is memory.
+    /// `memory` may be that of any earlier call.
     ///
     /// # Errors
     /// [`MechanicsError::FieldSize`] if a field has the wrong number of entries or the numbers of motions and forces differ.
     pub fn add_history(
         &self,
         motions: &[&MotionState],
-        damped_mm_per_s: &mut Vec<Vec<Vector3<f64>>>,
+        memory: &mut HistoryMemory,
         forces_mn: &mut [Vec<Vector3<f64>>],
     ) -> Result<(), MechanicsError> {
         let count = self.myocardium.vertex_count();
         check_size("forces, one a motion", motions.len(), forces_mn.len())?;
+        let HistoryMemory { damped_mm_per_s, panel } = memory;
         damped_mm_per_s.resize_with(motions.len().max(damped_mm_per_s.len()), Vec::new);
         for ((motion, damped), force_mn) in motions.iter().zip(damped_mm_per_s.iter_mut()).zip(&mut *forces_mn) {
             check_size("positions, one a vertex", count, motion.position_mm.len())?;
             check_size("forces, one a vertex", count, force_mn.len())?;
-            damped.clear();
-            damped.extend((0..count).map(|vertex| self.coefficients.damping_on_the_right(motion, vertex)));
-            for (vertex, (force, mass_kg)) in force_mn.iter_mut().zip(self.myocardium.vertex_mass_kg()).enumerate() {
+            damped.resize(count, Vector3::zeros());
+            let masses_kg = self.myocardium.vertex_mass_kg();
+            for (vertex, ((force, damped), mass_kg)) in force_mn.iter_mut().zip(damped).zip(masses_kg).enumerate() {
                 *force += self.coefficients.inertia_on_the_right(motion, vertex) * *mass_kg;
+                *damped = self.coefficients.damping_on_the_right(motion, vertex);
             }
         }
         match &self.damping {
-            Damping::Linear(damping) => damping.multiply_add_columns(&damped_mm_per_s[..motions.len()], forces_mn),
+            Damping::Linear(damping) => damping.multiply_add_columns(&damped_mm_per_s[..motions.len()], forces_mn, panel),
             Damping::Corotational(damping, _) => {
                 for (damped, force_mn) in damped_mm_per_s.iter().zip(forces_mn) {
                     force_mn.iter_mut().zip(damping).zip(damped).for_each(|((force, block), damped)| *force += block * damped);

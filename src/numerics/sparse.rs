@@ -59,7 +59,7 @@ impl BlockPattern {
         self.columns_of(row).binary_search(&column).ok().map(|offset| self.row_starts[row] + offset)
     }
 
-    fn blocks_of(&self, row: usize) -> std::ops::Range<usize> {
+    pub(super) fn blocks_of(&self, row: usize) -> std::ops::Range<usize> {
         self.row_starts[row]..self.row_starts[row + 1]
     }
 }
@@ -153,17 +153,6 @@ impl BlockMatrix {
             let (blocks, columns) = (&self.blocks[range.clone()], &self.pattern.columns[range]);
             for &listed in listed {
                 y[listed][row] = row_times(blocks, columns, &x[listed]);
-            }
-        }
-    }
-
-    /// $Y \mathrel{+}= A X$ for several columns, each one vector a vertex: one pass over the matrix serves all of them.
-    pub fn multiply_add_columns(&self, x: &[Vec<Vector3<f64>>], y: &mut [Vec<Vector3<f64>>]) {
-        for row in 0..self.pattern.vertex_count() {
-            let range = self.pattern.blocks_of(row);
-            let (blocks, columns) = (&self.blocks[range.clone()], &self.pattern.columns[range]);
-            for (x, y) in x.iter().zip(y.iter_mut()) {
-                y[row] += row_times(blocks, columns, x);
             }
         }
     }

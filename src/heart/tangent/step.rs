@@ -12,11 +12,13 @@ use super::internal_force::ForceMemory;
 use super::linearised::{LinearisedMemory, LinearisedStep, RELATIVE_TOLERANCE};
 use super::rates::{LawRate, ModelRate};
 use crate::circulation::{AtrialPressureRate, CirculationError, PortRates, ValveRates, VentricleFlowRate};
-use crate::mechanics::{ColumnSolver, ContractionRate, Kinematics, MechanicsError, MotionState, StepLoad};
+use crate::mechanics::{ColumnSolver, ContractionRate, HistoryMemory, Kinematics, MechanicsError, MotionState, StepLoad};
 use crate::mesh::SurfaceTag;
 
 /// Most columns that are solved together.
-const COLUMN_LIMIT: usize = 20;
+const COLUMN_LIMIT: usize = 40;
+/// Groups that the columns of an iterative solve are split into.
+const ITERATIVE_SHARES: usize = 2;
 
 /// The derivatives of the heart's state by all parameters, and what they go on with.
 pub(super) struct TangentColumns {
@@ -41,7 +43,7 @@ struct Column {
 struct ChunkMemory {
     solver: ColumnSolver,
     spare_mn: Vec<Vec<Vector3<f64>>>,
-    damped_mm_per_s: Vec<Vec<Vector3<f64>>>,
+    history: HistoryMemory,
     fraction_rates: Vec<f64>,
     stress_rates_kpa: Vec<f64>,
     internal: ForceMemory,
@@ -105,8 +107,7 @@ impl TangentColumns {
         let Self { columns, chunks, linearised } = self;
         let taken = LinearisedStep::new(model, loads, (before, after), workspace, linearised)?;
         let (time_s, step_s) = (before.time_s, model.settings.step_s);
-        // Two cores share a few columns; the split does not depend on the number of threads, so that results do not.
-        let chunk = columns.len().div_ceil(2).clamp(1, COLUMN_LIMIT);
+        let chunk = columns.len().div_ceil(taken.share_count()).clamp(1, COLUMN_LIMIT);
         chunks.resize_with(columns.len().div_ceil(chunk), ChunkMemory::default);
         columns
             .par_chunks_mut(chunk)
@@ -121,6 +122,13 @@ impl TangentColumns {
 }
 
 impl LinearisedStep<'_> {
+    /// Groups that the columns are split into. A column of a direct solve comes out the same whatever stands beside it, and every thread has
+    /// a group; those of iterative solves do not quite, and the split must not depend on the number of threads, so that results do not.
+    fn share_count(&self) -> usize {
+        let is_direct = !self.is_corotational() && !self.system.has_stiffness();
+        if is_direct { rayon::current_num_threads() } else { ITERATIVE_SHARES }
+    }
+
     /// Moves the derivatives on: what was after the last step is before this one, and dy₀ is where the positions after it will be.
     fn respond(&self, columns: &mut [Column], memory: &mut ChunkMemory) -> Result<(), MechanicsError> {
         let vertex_count = self.model.anatomy.mesh.vertex_count();
@@ -136,7 +144,7 @@ impl LinearisedStep<'_> {
         }
         let motions: Vec<&MotionState> = columns.iter().filter(|column| column.has_begun).map(|column| &column.before.motion).collect();
         let operator = &self.model.operator;
-        operator.add_history(&motions, &mut memory.damped_mm_per_s, &mut right)?;
+        operator.add_history(&motions, &mut memory.history, &mut right)?;
         let guesses: Vec<&[Vector3<f64>]> = motions.iter().map(|motion| motion.position_mm.as_slice()).collect();
         memory.solver.solve(&self.workspace.solver, operator, self.system, &mut right, &guesses, RELATIVE_TOLERANCE)?;
         for (column, mut response) in columns.iter_mut().filter(|column| column.has_begun).zip(right) {
