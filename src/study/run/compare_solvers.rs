@@ -6,16 +6,12 @@ use serde::Serialize;
 
 use super::calibration::residual;
 use super::error::RunError;
-use super::forward::heart_model;
-use super::measured::measured_volumes;
 use super::page::{Account, leave_page};
-use super::patient::Patient;
 use super::personal_tables::iteration_rows;
 use super::personalise::status_of;
 use super::replica::TrackingBias;
+use super::scene::{Beginning, Scene, tracked_at_rest};
 use super::search::{Found, Task, find, journal_of};
-use super::start::start_space;
-use super::track::track_patient;
 use crate::personalisation::{ParameterSpace, SearchMethod};
 use crate::report::figures::{Convergence, SolverCurve, convergence};
 use crate::report::html::{Block, Plot, Section, Table};
@@ -61,14 +57,11 @@ struct SolversSummary<'a> {
 /// Runs every solver of the plan and leaves its files.
 pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError> {
     let started = Instant::now();
-    let patient = Patient::new(plan, context)?;
-    let (Some(images), Some(wanted)) = (&patient.images, &plan.personalisation) else { return Err(RunError::NothingToFit) };
+    let Some(wanted) = &plan.personalisation else { return Err(RunError::NothingToFit) };
+    let (patient, tracked) = tracked_at_rest(plan, wanted, context)?;
     let clock = patient.clock(plan.simulation.beats.count());
-    let tracked = track_patient(plan, &patient, images, patient.parameters.clone(), context)?.whole()?;
-    let measured = measured_volumes(plan, wanted, &patient, &clock, &tracked)?;
+    let Beginning { base, measured, space, .. } = Scene::new(plan, wanted, &patient, &clock)?.begin(&tracked, context)?;
     let residual = residual(&wanted.data, &patient, &clock, &measured, &tracked, &TrackingBias::default())?;
-    let base = heart_model(&plan.model, &patient.anatomy, patient.parameters.clone())?;
-    let (space, _) = start_space(wanted, &base, &clock, &measured.left_ml, context)?;
     let task = Task { wanted, base: &base, space: &space, clock: &clock, residual: &residual };
     let mut found = Vec::new();
     for &method in &wanted.solvers {

@@ -34,6 +34,7 @@ mod recorded_base;
 mod recovery;
 mod replica;
 mod rest_frame;
+mod scene;
 mod search;
 mod sensitivity;
 mod side_by_side;

@@ -14,10 +14,11 @@ use super::page::{
 use super::parameter_rows::{interval, parameter_rows};
 use super::personal_summary::{Details, Measured, headlines};
 use super::personal_tables::write_tables;
-use super::personalise::{Personalised, Scene, status_of};
+use super::personalise::{Personalised, status_of};
 use super::pictures;
 use super::prediction::missing_predictions;
 use super::recovery::{Recovery, recovery};
+use super::scene::Scene;
 use super::track::Tracked;
 use crate::mesh::MeshQuality;
 use crate::report::figures::{CostHistory, Curve, Look, cost_over_iterations, parameter_intervals};

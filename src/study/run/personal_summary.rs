@@ -10,8 +10,9 @@ use super::gains::boundary_rms_mm;
 use super::measured::MeasuredVolumes;
 use super::patient::{Patient, PatientImages};
 use super::personal_tables::verdict;
-use super::personalise::{Personalised, Scene};
+use super::personalise::Personalised;
 use super::recovery::{Recovery, difference_rms};
+use super::scene::Scene;
 use super::search::ProfileInterval;
 use super::track::{Tracked, held_out_rms_mm, surface_rms_mm, validate};
 use crate::heart::{Parameter, Trajectory};
@@ -35,7 +36,10 @@ pub(super) struct Details {
     pub(super) volume_rms_rv_ml: Option<f64>,
     pub(super) calibration_status: &'static str,
     pub(super) iterations: usize,
+    /// Of the last search.
     pub(super) simulations: f64,
+    /// Of all searches: start values, rounds and replicas.
+    pub(super) simulations_of_all_searches: f64,
     /// What a pass with all tangents took by the clock, in simulations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) clocked_pass_cost: Option<f64>,
@@ -90,6 +94,7 @@ impl Details {
             calibration_status: calibration.outcome.status(),
             iterations: calibration.records.len().saturating_sub(1),
             simulations: calibration.spent,
+            simulations_of_all_searches: found.simulations,
             clocked_pass_cost: found.found.clocked_pass_cost,
             solver: wanted.solver.word(),
             evidence: found.found.evidence,

@@ -1,29 +1,27 @@
 //! `kind = "personalise"`: track the images, take the volume curve and the boundaries, find the parameters of the free heart, rescore it
 //! without image forces, say how sure that is.
 
+use std::cell::Cell;
 use std::time::Instant;
 
 use nalgebra::DVector;
 use serde::Serialize;
 
 use super::calibration::residual;
-use super::clock::Clock;
 use super::discrepancy::work_magnitude_mj;
 use super::error::RunError;
-use super::forward::{beat, frame_volumes_lv_ml, heart_model, step_count};
+use super::forward::{beat, frame_volumes_lv_ml, step_count};
 use super::measured::{MeasuredVolumes, measured_volumes};
-use super::patient::{Patient, PatientImages};
 use super::personal_leave::leave;
 use super::prediction::{Predictions, predict};
 use super::recovery::difference_rms;
 use super::replica::{BiasRow, TrackingBias, replica_seed, track_replica};
-use super::rest_frame::carried_to;
+use super::scene::{Beginning, Scene, tracked_at_rest};
 use super::search::{Found, Task, find, journal_of};
-use super::start::{StageRow, start_space};
-use super::track::{Tracked, held_out_rms_mm, track_again, track_patient};
+use super::start::StageRow;
+use super::track::{Tracked, held_out_rms_mm, track_again};
 use crate::heart::{HeartModel, Trajectory};
 use crate::personalisation::{CalibrationOutcome, ParameterSpace};
-use crate::study::plan::PersonalisationPlan;
 use crate::study::{Outcome, Plan, RunContext, Status};
 
 /// What a calibration started from and came to.
@@ -31,6 +29,8 @@ pub(super) struct Personalised {
     pub(super) space: ParameterSpace,
     pub(super) found: Found,
     pub(super) stages: Vec<StageRow>,
+    /// Simulations of all searches: start values, rounds and replicas.
+    pub(super) simulations: f64,
     pub(super) rounds: Vec<RoundRow>,
     pub(super) model: HeartModel,
     pub(super) fitted: Trajectory,
@@ -62,9 +62,8 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     let started = Instant::now();
     let Some(wanted) = &plan.personalisation else { return Err(RunError::NothingToFit) };
     let (patient, tracked) = tracked_at_rest(plan, wanted, context)?;
-    let Some(images) = &patient.images else { return Err(RunError::NothingToFit) };
     let clock = patient.clock(plan.simulation.beats.count());
-    let scene = Scene { plan, wanted, patient: &patient, images, clock: &clock };
+    let scene = Scene::new(plan, wanted, &patient, &clock)?;
     let personalised = personalise(&scene, &tracked, context)?;
     context.progress().stage("writing results", None);
     let outcome = leave(&scene, &tracked, &personalised, started)?;
@@ -72,36 +71,10 @@ pub(super) fn run(plan: &Plan, context: &RunContext) -> Result<Outcome, RunError
     Ok(outcome)
 }
 
-/// The patient, and its images tracked, from the image on which the model rests.
-fn tracked_at_rest(plan: &Plan, wanted: &PersonalisationPlan, context: &RunContext) -> Result<(Patient, Tracked), RunError> {
-    let patient = Patient::new(plan, context)?;
-    let track = |patient: &Patient| {
-        let Some(images) = &patient.images else { return Err(RunError::NothingToFit) };
-        Ok((track_patient(plan, patient, images, patient.parameters.clone(), context)?.whole()?, images.reference_frame))
-    };
-    let (tracked, drawn_frame) = track(&patient)?;
-    let Some(frame) = wanted.rest_frame.filter(|&frame| frame != drawn_frame) else { return Ok((patient, tracked)) };
-    let patient = carried_to(patient, &tracked, frame)?;
-    let (tracked, _) = track(&patient)?;
-    Ok((patient, tracked))
-}
-
-/// What a personalisation works on.
-#[derive(Clone, Copy)]
-pub(super) struct Scene<'a> {
-    pub(super) plan: &'a Plan,
-    pub(super) wanted: &'a PersonalisationPlan,
-    pub(super) patient: &'a Patient,
-    pub(super) images: &'a PatientImages,
-    pub(super) clock: &'a Clock,
-}
-
 fn personalise(scene: &Scene, tracked: &Tracked, context: &RunContext) -> Result<Personalised, RunError> {
     let &Scene { plan, wanted, patient, clock, .. } = scene;
-    let base = heart_model(&plan.model, &patient.anatomy, patient.parameters.clone())?;
-    let measured = measured_volumes(plan, wanted, patient, clock, tracked)?;
-    let (space, mut stages) = start_space(wanted, &base, clock, &measured.left_ml, context)?;
-    let search = Search { scene, base: &base, space: &space, context };
+    let Beginning { base, space, mut stages, simulations, .. } = scene.begin(tracked, context)?;
+    let search = Search { scene, base: &base, space: &space, spent: Cell::new(simulations), context };
     let (mut rounds, mut answer, mut again) = (Vec::new(), None::<Answer>, None);
     for round in 1..=wanted.rounds {
         let gain_factor = wanted.gain_decay.powi(round as i32 - 1);
@@ -130,7 +103,8 @@ fn personalise(scene: &Scene, tracked: &Tracked, context: &RunContext) -> Result
         is_retracked.then(|| track_again(plan, patient, scene.images, model.parameters(), tracked, 1.0, context)).transpose()?;
     let predictions = if context.is_stopped() { None } else { predict(plan, patient, model.parameters(), context)? };
     let Answer { measured, found } = answer;
-    Ok(Personalised { space, found, stages, rounds, model, fitted, initial, measured, bias, retracked, predictions })
+    let simulations = search.spent.get();
+    Ok(Personalised { space, found, stages, simulations, rounds, model, fitted, initial, measured, bias, retracked, predictions })
 }
 
 /// What a search was fitted to, and what it found.
@@ -144,6 +118,8 @@ struct Search<'a> {
     scene: &'a Scene<'a>,
     base: &'a HeartModel,
     space: &'a ParameterSpace,
+    /// Simulations spent so far.
+    spent: Cell<f64>,
     context: &'a RunContext<'a>,
 }
 
@@ -154,12 +130,13 @@ impl Search<'_> {
 
     /// Searches from `start` in what was tracked, less its bias; what an earlier run computed comes from the journal of that name.
     fn answer(&self, start: &DVector<f64>, tracked: &Tracked, bias: &TrackingBias, journal: &str) -> Result<Answer, RunError> {
-        let &Self { scene: &Scene { plan, wanted, patient, clock, .. }, base, space, context } = self;
+        let &Self { scene: &Scene { plan, wanted, patient, clock, .. }, base, space, context, .. } = self;
         let measured = bias.taken_off(measured_volumes(plan, wanted, patient, clock, tracked)?);
         let residual = residual(&wanted.data, patient, clock, &measured, tracked, bias)?;
         let task = Task { wanted, base, space, clock, residual: &residual };
         let journal = journal_of(plan, journal, &plan.provenance)?;
         let found = find(&task, wanted.solver, start, Some(&journal), context)?;
+        self.spent.set(self.spent.get() + found.calibration.spent);
         if !context.is_stopped() {
             journal.discard();
         }
@@ -173,6 +150,7 @@ impl Search<'_> {
         for number in (1..=wanted.bias_rounds).take_while(|_| !context.is_stopped()) {
             let model = self.heart(&answer.found.calibration.coordinates)?;
             let fitted = beat(&model, clock, &[], context)?;
+            self.spent.set(self.spent.get() + 1.0);
             let replica = track_replica(plan, patient, clock, &fitted, tracked, replica_seed(wanted.seed, number), context)?;
             replicas.push(TrackingBias::new(patient, clock, &model, &fitted, &replica)?);
             let start = &answer.found.calibration.coordinates;
