@@ -30,7 +30,7 @@ DEMONS_LEVELS = [(4, 4.0, 200), (2, 2.0, 100), (1, 1.0, 20)]
 DEMONS_SMOOTHING = 1.0
 B_SPLINE_NET_MM = 24.0
 CARRIED = ['tracking.base_projection="full"', 'tracking.block_shape="carried"']
-INSIDE = [*CARRIED, 'tracking.wall="block_matching"', "tracking.wall_gain_kpa_per_mm2=5", "tracking.block_size_mm=10.5"]
+INSIDE = [*CARRIED, "tracking.block_window=1.5", 'tracking.wall="block_matching"', "tracking.wall_gain_kpa_per_mm2=5", "tracking.block_size_mm=10.5"]
 # Our runs: name, settings beside those of track.toml, and whether personalise.toml finds the heart's parameters first.
 OURS = [
     ("tracking, as it comes", [], False),

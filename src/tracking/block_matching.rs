@@ -53,6 +53,9 @@ pub struct BlockMatchingSettings {
     pub trimmed_share: f64,
     /// What a block is like when it is looked for again.
     pub shape: BlockShape,
+    /// Carried blocks see intensities within this many standard deviations of the wall's own, and what lies beyond as those ends;
+    /// nothing: as they are. The edges of the wall outshine its texture, which alone tells how far it has moved along itself.
+    pub window: Option<f64>,
 }
 
 impl Default for BlockMatchingSettings {
@@ -66,6 +69,7 @@ impl Default for BlockMatchingSettings {
             variance_share: 0.75,
             trimmed_share: 0.75,
             shape: BlockShape::Still,
+            window: None,
         }
     }
 }
@@ -131,6 +135,7 @@ pub(super) fn check(settings: &BlockMatchingSettings) -> Result<(), TrackingErro
     TrackingError::check_setting("voxel_mm", settings.voxel_mm, 0.1, 20.0)?;
     TrackingError::check_setting("block_radius_voxels", settings.block_radius_voxels as f64, 1.0, (WIDEST_BLOCK / 2) as f64)?;
     TrackingError::check_setting("levels", settings.levels as f64, 1.0, 6.0)?;
+    TrackingError::check_setting("window", settings.window.unwrap_or(1.0), 0.1, 100.0)?;
     TrackingError::check_setting("range_mm", settings.range_mm, settings.voxel_mm, 100.0)?;
     TrackingError::check_setting("variance_share", settings.variance_share, 0.01, 1.0)?;
     TrackingError::check_setting("trimmed_share", settings.trimmed_share, 0.01, 1.0)

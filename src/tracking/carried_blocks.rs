@@ -3,18 +3,22 @@
 //! A block of the reference image that straddles the base is a bad likeness of itself at end-systole: the wall below it has thickened,
 //! turned and drawn in, what lies above it has not. Compared as it was, it is found where the images have deformed least, which is up
 //! along the valve (5 mm too high in study 07). So each voxel of the block is taken from where its tissue came from, $X + F^{-1} s$, and
-//! voxels beyond the base, whose deformation no model knows, are left out.
+//! voxels beyond the base, whose deformation no model knows, are left out. Blood and surroundings can be dimmed to the wall's own range: a block
+//! whose edges do not quite fit is found where they fit best, whatever the texture says.
+
+use std::ops::RangeInclusive;
 
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
+use super::appearance::quantile;
 use super::block_matching::{check, highest_variance, trust};
 use super::blocks::{Block, Match, deformed_block, search};
 use super::pyramid::Pyramid;
 use super::tissue_mask::TissueMask;
 use super::{BlockMatchingSettings, TrackingError};
-use crate::image::CineSequence;
-use crate::mesh::{SurfaceTag, TaggedSurface};
+use crate::image::{CineSequence, Volume};
+use crate::mesh::{SurfaceTag, TaggedSurface, TetMesh};
 
 /// Carried blocks are searched this many voxels around the place that is expected.
 const REACH_VOXELS: f64 = 3.0;
@@ -96,13 +100,41 @@ impl BasePlane {
     }
 }
 
+/// The intensities of a wall at rest: $m \pm w\,\sigma$ of the values at the centres of its tetrahedra, m their median and σ 1.4826 times the median
+/// distance from it, which is the standard deviation of a normal distribution. Nothing where the image shows none of it.
+pub(super) fn wall_intensities(image: &Volume, mesh: &TetMesh, window: f64) -> Option<RangeInclusive<f32>> {
+    const DEVIATION_OF_MEDIAN: f64 = 1.4826;
+    let centre_mm = |corners: &[usize; 4]| corners.iter().map(|&corner| mesh.vertices_mm()[corner]).sum::<Vector3<f64>>() / 4.0;
+    let values: Vec<f64> = mesh.tetrahedra().iter().filter_map(|corners| image.sample(&centre_mm(corners))).collect();
+    let middle = quantile(values.iter().copied(), 0.5);
+    let reach = window * DEVIATION_OF_MEDIAN * quantile(values.iter().map(|value| (value - middle).abs()), 0.5);
+    (!values.is_empty()).then_some((middle - reach) as f32..=(middle + reach) as f32)
+}
+
+/// What is known of the wall at rest around carried blocks.
+#[derive(Default)]
+pub(super) struct WallAtRest {
+    pub(super) plane: Option<BasePlane>,
+    pub(super) tissue: Option<TissueMask>,
+    /// Intensities beyond it count as its ends.
+    pub(super) intensities: Option<RangeInclusive<f32>>,
+}
+
+impl WallAtRest {
+    fn seen(&self, image: Pyramid) -> Pyramid {
+        match &self.intensities {
+            Some(range) => image.clipped(range),
+            None => image,
+        }
+    }
+}
+
 /// The blocks of the reference frame around some places, to be found again in other frames, each from where it is carried and deformed as
 /// the tissue is, without what lies beyond the base or outside the wall.
 pub(super) struct CarriedBlocks<'a> {
     cine: &'a CineSequence,
     settings: BlockMatchingSettings,
-    plane: Option<BasePlane>,
-    tissue: Option<TissueMask>,
+    wall: WallAtRest,
     centres_mm: Vec<Vector3<f64>>,
     reference: Pyramid,
     usable: Vec<bool>,
@@ -118,16 +150,16 @@ impl<'a> CarriedBlocks<'a> {
         cine: &'a CineSequence,
         reference_frame: usize,
         centres_mm: Vec<Vector3<f64>>,
-        (plane, tissue): (Option<BasePlane>, Option<TissueMask>),
+        wall: WallAtRest,
         settings: BlockMatchingSettings,
     ) -> Result<Self, TrackingError> {
         check(&settings)?;
         let radius = settings.block_radius_voxels;
         let side_mm = settings.voxel_mm * (2 * radius + 2) as f64;
         let image = &cine.frames()[reference_frame % cine.frames().len()];
-        let reference = Pyramid::around(image, &centres_mm, side_mm, settings.voxel_mm, 1);
+        let reference = wall.seen(Pyramid::around(image, &centres_mm, side_mm, settings.voxel_mm, 1));
         let neighbours = neighbours_within(&centres_mm, settings.voxel_mm * (2 * radius + 1) as f64);
-        let mut blocks = Self { cine, settings, plane, tissue, centres_mm, reference, usable: Vec::new(), neighbours };
+        let mut blocks = Self { cine, settings, wall, centres_mm, reference, usable: Vec::new(), neighbours };
         let places = 0..blocks.centres_mm.len();
         let still: Vec<Vec<Block>> =
             places.into_par_iter().map(|place| blocks.block(place, &Matrix3::identity()).into_iter().collect()).collect();
@@ -140,9 +172,10 @@ impl<'a> CarriedBlocks<'a> {
 
     fn block(&self, place: usize, inverse: &Matrix3<f64>) -> Option<Block> {
         let centre_mm = &self.centres_mm[place];
-        let highest_mm = self.plane.map_or(f64::INFINITY, |plane| plane.height_mm(centre_mm).max(0.0) + 1e-3);
-        let is_below = |point_mm: &Vector3<f64>| self.plane.is_none_or(|plane| plane.height_mm(point_mm) <= highest_mm);
-        let counts = |point_mm: &Vector3<f64>| is_below(point_mm) && self.tissue.as_ref().is_none_or(|tissue| tissue.holds(point_mm));
+        let WallAtRest { plane, tissue, .. } = &self.wall;
+        let highest_mm = plane.map_or(f64::INFINITY, |plane| plane.height_mm(centre_mm).max(0.0) + 1e-3);
+        let is_below = |point_mm: &Vector3<f64>| plane.is_none_or(|plane| plane.height_mm(point_mm) <= highest_mm);
+        let counts = |point_mm: &Vector3<f64>| is_below(point_mm) && tissue.as_ref().is_none_or(|tissue| tissue.holds(point_mm));
         deformed_block(&self.reference.levels()[0], centre_mm, inverse, self.settings.block_radius_voxels, counts)
     }
 
@@ -152,7 +185,7 @@ impl<'a> CarriedBlocks<'a> {
         let range_mm = range_mm.min(REACH_VOXELS * voxel_mm);
         let greatest_mm = carried_mm.iter().map(Vector3::norm).fold(0.0, f64::max);
         let reach_mm = greatest_mm + range_mm + voxel_mm * (block_radius_voxels + 2) as f64;
-        let moving = Pyramid::around(&self.cine.frames()[frame], &self.centres_mm, reach_mm, voxel_mm, 1);
+        let moving = self.wall.seen(Pyramid::around(&self.cine.frames()[frame], &self.centres_mm, reach_mm, voxel_mm, 1));
         let find = |place: usize| {
             let block = [self.block(place, &inverse[place]).filter(|_| self.usable[place])?];
             search(&block, &moving, &self.centres_mm[place], &carried_mm[place], (similarity, range_mm))
@@ -196,7 +229,7 @@ fn agreement(beside: &[Option<(Vector3<f64>, f64)>], neighbours: &[Vec<usize>], 
 
 #[cfg(test)]
 mod tests {
-    use super::super::fixtures::{image, waves};
+    use super::super::fixtures::{image, slab, waves};
     use super::super::{BlockShape, Similarity, match_base};
     use super::*;
     use crate::mesh::{TaggedSurface, TetMesh};
@@ -211,6 +244,7 @@ mod tests {
         variance_share: 1.0,
         trimmed_share: 1.0,
         shape: BlockShape::Carried,
+        window: None,
     };
 
     /// Points of a lattice of 4 mm within 16 mm, those within 10 mm of the middle first.
@@ -245,7 +279,10 @@ mod tests {
         plane: Option<BasePlane>,
     ) -> Vec<Vector3<f64>> {
         let carrier = Carrier::new(rest, (0..count).collect(), EVERY.deformation_reach_mm());
-        CarriedBlocks::new(cine, 0, carrier.centres_mm(), (plane, None), EVERY).unwrap().find(1, &carrier.carry(now)).0
+        CarriedBlocks::new(cine, 0, carrier.centres_mm(), WallAtRest { plane, ..WallAtRest::default() }, EVERY)
+            .unwrap()
+            .find(1, &carrier.carry(now))
+            .0
     }
 
     /// Tissue that turns by 35° and thickens by a quarter is lost to blocks as they were; blocks that a motion 1.5 mm beside the truth
@@ -263,6 +300,41 @@ mod tests {
         let stiff = match_base(&cine, 0, &(0..count).collect::<Vec<_>>(), &rest, &EVERY).unwrap();
         let (with, without) = (rms_mm(&carried(&cine, &rest, &expected, count, None), truth), rms_mm(&stiff.displacement_mm()[1], truth));
         assert!(with < 0.4 && without > 1.0, "{with} mm carried, {without} mm stiff");
+    }
+
+    /// Tissue that slides by 2.2 mm along a wavy edge to bright blood: whole blocks are held by the edge, which has not moved; dimmed ones
+    /// find the tissue to half a voxel.
+    #[test]
+    fn texture_that_slides_along_an_edge_is_found_when_the_edge_is_dimmed() {
+        let pattern = waves(5);
+        let scene = |p: Vector3<f64>, slid_mm: f64| {
+            let is_blood = p.x > 2.0 * (p.y / 2.5).sin();
+            if is_blood { 400.0 } else { 100.0 + 0.1 * pattern(p - Vector3::y() * slid_mm) }
+        };
+        let cine = two_frames(|p| scene(p, 0.0), |p| scene(p, 2.2));
+        let centres: Vec<Vector3<f64>> =
+            (0..48).map(|n| Vector3::new(-4.0, 4.0 * f64::from(n % 8) - 14.0, 4.0 * f64::from(n / 8) - 10.0)).collect();
+        let still: Carried = (vec![Vector3::zeros(); centres.len()], vec![Matrix3::identity(); centres.len()]);
+        let error = |intensities| {
+            let wall = WallAtRest { intensities, ..WallAtRest::default() };
+            let settings = BlockMatchingSettings { similarity: Similarity::Ncc, ..EVERY };
+            rms_mm(&CarriedBlocks::new(&cine, 0, centres.clone(), wall, settings).unwrap().find(1, &still).0, |_| Vector3::y() * 2.2)
+        };
+        let (dimmed, whole) = (error(Some(84.0..=116.0)), error(None));
+        assert!(dimmed < 0.75 && whole > 2.0 * dimmed, "{dimmed} mm dimmed, {whole} mm whole");
+    }
+
+    /// Of intensities that rise evenly from 440 to 560 the median is 500 and σ 1.4826 × 30; a twentieth of blood within the wall hardly counts.
+    #[test]
+    fn the_range_of_a_wall_is_that_of_its_bulk() {
+        let (mesh, _) = slab(20, |p| p * 20.0);
+        let seen = image(Vector3::repeat(34.0), Vector3::repeat(1.0), |p| if p.y > 18.0 { 5000.0 } else { 500.0 + 3.0 * p.x });
+        let range = wall_intensities(&seen, &mesh, 2.0).unwrap();
+        let expected = 2.0 * 1.4826 * 30.0;
+        assert!(
+            (f64::from(*range.start()) + expected - 500.0).abs() < 12.0 && (f64::from(*range.end()) - expected - 500.0).abs() < 12.0,
+            "{range:?}"
+        );
     }
 
     /// Below a base at z = 0 the tissue rises by 2.2 mm, above it nothing moves: without what lies beyond the base blocks find it

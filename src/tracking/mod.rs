@@ -49,4 +49,4 @@ pub use residuals::{SurfaceResidual, TrackedFrame};
 pub use scheme::{ForceScheme, VertexLoad};
 pub use section::Contour;
 pub use tracker::{PhaseWork, TrackedMotion, TrackerSettings, track};
-pub use wall_force::{WallForce, WallSettings};
+pub use wall_force::WallSettings;

@@ -3,7 +3,8 @@
 use std::sync::{Mutex, PoisonError};
 
 use super::carried_blocks::{CarriedBlocks, Carrier};
-use super::{BaseForce, BaseMatches, BaseProjection, TrackingError, WallForce};
+use super::wall_force::WallForce;
+use super::{BaseForce, BaseMatches, BaseProjection, TrackingError};
 use crate::mechanics::{MotionState, StepLoad, StepSystem};
 use crate::mesh::{TaggedSurface, TetMesh};
 
@@ -18,6 +19,9 @@ pub(super) enum Drawn {
 
 /// The force of [`BaseForce`] or [`WallForce`] towards matches that are made on the way: when the heart passes a frame its blocks, as it has carried and
 /// deformed them until then, are looked for in the next, and it is drawn from the one match to the other until it arrives there.
+///
+/// It has no tangent. A match depends on where the heart stood when it was made, through a search whose best place jumps from voxel to voxel,
+/// so no derivative that holds it fixed would be that of the run: tangents are refused, and finite differences go through the matches.
 pub(super) struct ProactiveBlocks<'a> {
     mesh: &'a TetMesh,
     surface: &'a TaggedSurface,

@@ -57,6 +57,13 @@ impl Pyramid {
         Self { levels }
     }
 
+    /// The same with values beyond a range at its ends.
+    pub(super) fn clipped(mut self, range: &RangeInclusive<f32>) -> Self {
+        let values = self.levels.iter_mut().flat_map(|level| &mut level.values);
+        values.for_each(|value| *value = value.clamp(*range.start(), *range.end()));
+        self
+    }
+
     pub(super) fn levels(&self) -> &[Level] {
         &self.levels
     }

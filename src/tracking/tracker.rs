@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::carried_blocks::{BasePlane, CarriedBlocks, Carrier};
+use super::carried_blocks::{BasePlane, CarriedBlocks, Carrier, WallAtRest, wall_intensities};
 use super::proactive_blocks::{Drawn, ProactiveBlocks};
 use super::residuals::{TrackedFrame, frame_warnings};
 use super::tissue_mask::TissueMask;
@@ -184,8 +184,12 @@ fn proactive_blocks<'a>(
 ) -> Result<ProactiveBlocks<'a>, TrackingError> {
     let (mesh, surface) = (&model.anatomy().mesh, &model.anatomy().surface);
     let carrier = Carrier::new(mesh.vertices_mm(), vertices, blocks.deformation_reach_mm());
-    let tissue = (BasePlane::of(surface, mesh.vertices_mm()), Some(TissueMask::around(mesh, blocks.voxel_mm)));
-    let matched = CarriedBlocks::new(cine, settings.reference_frame, carrier.centres_mm(), tissue, *blocks)?;
+    let wall = WallAtRest {
+        plane: BasePlane::of(surface, mesh.vertices_mm()),
+        tissue: Some(TissueMask::around(mesh, blocks.voxel_mm)),
+        intensities: blocks.window.and_then(|window| wall_intensities(&cine.frames()[settings.reference_frame], mesh, window)),
+    };
+    let matched = CarriedBlocks::new(cine, settings.reference_frame, carrier.centres_mm(), wall, *blocks)?;
     let times_s = plan_of(cine, settings.reference_frame).frame_times_s;
     let frames = times_s.into_iter().zip(frame_order(cine, settings.reference_frame)).take(cine.frames().len()).collect();
     ProactiveBlocks::new((mesh, surface), carrier, matched, drawn, frames, (cine.times_s(), cine.period_s()))

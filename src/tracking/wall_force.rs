@@ -3,8 +3,8 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::{BaseMatches, BlockMatchingSettings, TrackingError};
-use crate::mechanics::{LoadTangent, MotionState, StepLoad, StepSystem, TakenStep};
-use crate::mesh::{SurfaceTag, TetMesh};
+use crate::mechanics::{MotionState, StepLoad, StepSystem};
+use crate::mesh::TetMesh;
 
 /// How block matches draw the wall.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,7 +18,7 @@ pub struct WallSettings {
 /// Springs, implicit in time, from the vertices of the wall to the places where their matches are: F = 2γ (Z − Y^{t+h}), γ the gain ×
 /// confidence × a quarter of the volume of the tetrahedra around the vertex at rest.
 #[derive(Debug, Clone)]
-pub struct WallForce<'a> {
+pub(super) struct WallForce<'a> {
     matches: &'a BaseMatches,
     reference_mm: &'a [Vector3<f64>],
     /// Gain × volume by place in the matches, mN/mm.
@@ -31,7 +31,7 @@ impl<'a> WallForce<'a> {
     /// # Errors
     /// [`TrackingError::SettingOutOfRange`] for a gain that is negative or not finite, [`TrackingError::BaseMatches`] if the matches
     /// name a vertex that the mesh does not have.
-    pub fn new(mesh: &'a TetMesh, matches: &'a BaseMatches, gain_kpa_per_mm2: f64) -> Result<Self, TrackingError> {
+    pub(super) fn new(mesh: &'a TetMesh, matches: &'a BaseMatches, gain_kpa_per_mm2: f64) -> Result<Self, TrackingError> {
         TrackingError::check_setting("wall_gain_kpa_per_mm2", gain_kpa_per_mm2, 0.0, f64::MAX)?;
         matches.check_vertices(mesh.vertex_count())?;
         let mut volume_mm3 = vec![0.0; mesh.vertex_count()];
@@ -52,16 +52,6 @@ impl StepLoad for WallForce<'_> {
             system.stiffness_mn_per_mm[vertex] += Matrix3::identity() * stiffness_mn_per_mm;
         }
     }
-    fn tangent<'b>(&'b self, _step: &TakenStep<'b>) -> Option<Box<dyn LoadTangent + 'b>> {
-        Some(Box::new(StillLoad))
-    }
-}
-
-/// The tangent of a load that neither the beginning of the step nor a surface's gain moves.
-struct StillLoad;
-
-impl LoadTangent for StillLoad {
-    fn add_force(&self, _: &[Vector3<f64>], _: &dyn Fn(SurfaceTag) -> f64, _: &mut [Vector3<f64>]) {}
 }
 
 #[cfg(test)]
@@ -70,7 +60,7 @@ mod tests {
     use super::*;
 
     /// A wall that stands at its matches is at peace; one millimetre beside them it is drawn by 2γ times its volume, whatever its state
-    /// before: the tangent has nothing to add.
+    /// before.
     #[test]
     fn the_wall_is_drawn_by_twice_the_gain_times_its_volume() {
         let (mesh, _) = slab(3, |p| p * 10.0);
@@ -89,13 +79,9 @@ mod tests {
         assert!(drawn(rest.clone(), Vector3::zeros()).norm() < 1e-9);
         let expected = -2.0 * 0.5 * mesh.total_volume_mm3();
         assert!((drawn(rest.clone(), Vector3::x()).x / expected - 1.0).abs() < 1e-12);
-        let mut slope = vec![Vector3::zeros(); count];
-        let (state, end) = (MotionState::at_rest(rest.clone()), rest.clone());
-        let taken = TakenStep { state: &state, time_s: 0.0, step_s: 0.1, end_mm: &end };
-        force.tangent(&taken).unwrap().add_force(&rest, &|_| 1.0, &mut slope);
         let moved = rest.iter().map(|x| x * 1.1).collect();
         let difference = (drawn(moved, Vector3::x()) - drawn(rest.clone(), Vector3::x())).norm();
-        assert!(difference < 1e-9 && slope.iter().all(|s| *s == Vector3::zeros()), "{difference}");
+        assert!(difference < 1e-9, "{difference}");
     }
 
     #[test]

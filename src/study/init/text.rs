@@ -234,6 +234,7 @@ impl Pen {
         );
         self.line("fibre_stiffness_kpa = 200.0\ntransverse_stiffness_kpa = 200.0\npericardium_stiffness_kpa_per_mm = 0.5");
         self.line("\n[tracking]\n# The base follows blocks of the images; \"springs\" or \"free\" are the alternatives.\nbase = \"block_matching\"\nbase_projection = \"full\"");
+        self.line("# If the tracked wall turns about its axis where the images do not: block_shape = \"carried\", wall = \"block_matching\", block_window = 1.5.");
         self.line("# How strongly images pull is chosen by boundary points that are held out; \"written\" takes it as written.\ngains = \"held_out\"");
         self.line("# \"ncc\" (correlation) is blind to brightness that varies across the images, \"ssd\" (differences) is not.\nsimilarity = \"ncc\"");
     }

@@ -96,6 +96,8 @@ pub struct TrackingPlan {
     pub block_range_mm: f64,
     /// `block_shape`.
     pub block_shape: BlockShape,
+    /// `block_window`: the intensities that carried blocks see, in standard deviations of the wall's own; all if nothing is written.
+    pub block_window: Option<f64>,
     /// `wall`.
     pub wall: WallMode,
     /// `wall_gain_kpa_per_mm2`: per volume, for `wall = "block_matching"`.
@@ -122,11 +124,15 @@ pub(super) fn read(table: TableReader, parameters: &mut Parameters, written: &mu
         block_size_mm: table.number("block_size_mm", 2.0..=60.0, block_size_mm),
         block_range_mm: table.number("block_range_mm", 1.0..=40.0, blocks.range_mm),
         block_shape: table.choice("block_shape", blocks.shape),
+        block_window: table.optional_number("block_window", 0.5..=100.0),
         wall: table.choice("wall", WallMode::Model),
         wall_gain_kpa_per_mm2: table.number("wall_gain_kpa_per_mm2", 0.0..=1e4, 1.0),
     };
     if plan.search_step_mm > plan.search_range_mm {
         table.problem("search_step_mm", "is longer than search_range_mm", format!("choose at most {}", plan.search_range_mm));
+    }
+    if plan.block_window.is_some() && (plan.block_shape, plan.wall) == (BlockShape::Still, WallMode::Model) {
+        table.problem("block_window", "is of no use to still blocks", "write block_shape = \"carried\", or take it away");
     }
     match (plan.base, &plan.base_motion) {
         (BaseMode::Recorded, None) if !table.has("base_motion") => table.missing("base_motion", "the base_motion.csv of an earlier run"),

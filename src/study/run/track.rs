@@ -121,6 +121,7 @@ pub(super) fn tracker_settings(plan: &Plan, patient: &Patient, images: &PatientI
         range_mm: plan.block_range_mm,
         block_radius_voxels,
         shape: plan.block_shape,
+        window: plan.block_window,
         ..blocks
     };
     let base = match plan.base {
