@@ -3,6 +3,8 @@
 //! A failure means that some room of the thread from images to parameters has lost accuracy: compare `recovery` in `summary.json` with
 //! the CHANGELOG's numbers, then the tracked volumes (images and tracking) with the model's (calibration).
 
+#![allow(clippy::unwrap_used, reason = "a test may stop at the first surprise")]
+
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
