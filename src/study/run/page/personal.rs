@@ -154,7 +154,7 @@ fn convergence(found: &Personalised) -> Section {
     let points = records.iter().filter(|record| record.cost > 0.0 && record.cost.is_finite());
     let points: Vec<(f64, f64)> = points.map(|record| (record.iteration as f64, record.cost)).collect();
     let cost = Plot {
-        title: "Cost of the calibration".into(),
+        title: "Cost of the last search".into(),
         x_title: "iteration".into(),
         y_title: "cost (half the sum of squared residuals)".into(),
         curves: vec![Curve { name: String::new(), look: Look::Tracked, points }],
