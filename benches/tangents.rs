@@ -1,9 +1,10 @@
-//! What the derivatives of a beat cost beside the beat: 20 and 40 parameters along with 1 s in steps of 5 ms.
+//! What the derivatives of a beat cost beside the beat: 20 and 40 parameters along with 1 s in steps of 5 ms, on one thread by the processor and on two by the clock.
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout, reason = "a bench that fails loudly")]
 
 use std::hint::black_box;
 use std::ops::ControlFlow;
 use std::sync::Arc;
+use std::time::Instant;
 
 use cardiotwin::anatomy::AhaSegment;
 use cardiotwin::heart::{HeartModel, Parameter, Part, RegionalParameter, SimulationPlan, simulate, simulate_with_tangents};
@@ -76,19 +77,29 @@ fn print_costs(name: &str, edge_length_mm: f64, round_count: usize) {
     let forty: Vec<RegionalParameter> = twenty.iter().copied().chain(segments).chain(rest).collect();
     let model = hearts::heart(edge_length_mm);
     print_solves(&model);
-    hearts::print_in_turn(
-        &format!("{name}, {} vertices", model.anatomy().mesh.vertex_count()),
-        round_count,
+    let things = || -> Vec<hearts::Timed<'_>> {
         vec![
             ("free beat", Box::new(|| beat(&model))),
             ("with 20 tangents", Box::new(|| tangents(&model, &twenty))),
             ("with 40 tangents", Box::new(|| tangents(&model, &forty))),
-        ],
-    );
+        ]
+    };
+    let title = format!("{name}, {} vertices", model.anatomy().mesh.vertex_count());
+    hearts::print_in_turn(&title, round_count, things());
+    // What a user waits for, where nobody else computes.
+    let begun = Instant::now();
+    let two = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+    let on_two = |thing: &mut (dyn FnMut() + Send)| two.install(thing);
+    let things = vec![
+        ("free beat", Box::new(|| on_two(&mut || beat(&model))) as Box<dyn FnMut()>),
+        ("with 20 tangents", Box::new(|| on_two(&mut || tangents(&model, &twenty)))),
+        ("with 40 tangents", Box::new(|| on_two(&mut || tangents(&model, &forty)))),
+    ];
+    hearts::print_in_turn_by(|| begun.elapsed().as_secs_f64(), &format!("{title}, two threads by the clock"), round_count, things);
 }
 
 fn main() {
-    // One thread, this one: the clock is its own.
+    // One thread, this one, where nothing else is said.
     rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build_global().unwrap();
     let is_small = std::env::args().any(|argument| argument == "5k");
     let sizes = if is_small { &hearts::SIZES[..1] } else { &hearts::SIZES[..2] };

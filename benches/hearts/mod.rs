@@ -118,15 +118,20 @@ pub fn criterion() -> Criterion<ProcessorTime> {
 /// Something to time, by name.
 pub type Timed<'a> = (&'a str, Box<dyn FnMut() + 'a>);
 
-/// Times things in turn, A B C A B C …, and prints the median of each and of its rounds' ratios to the first.
-pub fn print_in_turn(title: &str, round_count: usize, mut things: Vec<Timed<'_>>) {
+/// Times things in turn, A B C A B C …, by the processor, and prints the median of each and of its rounds' ratios to the first.
+pub fn print_in_turn(title: &str, round_count: usize, things: Vec<Timed<'_>>) {
+    print_in_turn_by(processor_s, title, round_count, things);
+}
+
+/// [`print_in_turn`] by another clock, in seconds.
+pub fn print_in_turn_by(clock_s: impl Fn() -> f64, title: &str, round_count: usize, mut things: Vec<Timed<'_>>) {
     things.iter_mut().for_each(|(_, thing)| thing());
     let mut rounds: Vec<Vec<f64>> = Vec::new();
     for _ in 0..round_count {
         let timed = things.iter_mut().map(|(_, thing)| {
-            let start = processor_s();
+            let start_s = clock_s();
             thing();
-            processor_s() - start
+            clock_s() - start_s
         });
         rounds.push(timed.collect());
     }
